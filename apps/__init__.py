@@ -1,0 +1,1 @@
+"""The programs: everything here is used through the ``warpdef`` command."""

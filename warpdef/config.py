@@ -1,0 +1,270 @@
+"""Every number of the method: frozen, validated, each field one sentence with its source.
+
+Section and equation names are those of *Preconditioned Deformation Grids* (Pacific Graphics 2025). ``Config()`` is
+the ``default`` preset; ``preset("paper")`` holds the paper's own values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Literal
+
+from warpdef.errors import ConfigError
+
+
+def _require(ok: bool, key: str, expected: str, got: object) -> None:
+    if not ok:
+        raise ConfigError(f"configuration: {key}: expected {expected}, got {got!r}")
+
+
+@dataclass(frozen=True)
+class KeyframeConfig:
+    """Which frame the template is built on (sec. Keyframe Selection)."""
+
+    choice: str = "auto"
+    """``auto``, ``first``, ``middle``, or a frame index counted from 0."""
+    voxels: int = 128
+    """Cells an axis of the grid in which occupied voxels are counted."""
+    gamma: float = 0.001
+    """Gaussian weight exp(-gamma (t - T/2)^2) that favours the temporal middle."""
+
+    def __post_init__(self) -> None:
+        named = self.choice in ("auto", "first", "middle")
+        _require(named or self.choice.isdigit(), "keyframe.choice", "auto, first, middle or an index from 0", self.choice)
+        _require(1 <= self.voxels <= 1024, "keyframe.voxels", "1 to 1024", self.voxels)
+        _require(self.gamma >= 0, "keyframe.gamma", "a number from 0", self.gamma)
+
+
+@dataclass(frozen=True)
+class TemplateConfig:
+    """How the template mesh is made and judged (sec. Keyframe Selection; screened Poisson)."""
+
+    mesh: str = ""
+    """Path of a mesh of your own for the keyframe, vertex order kept; empty: reconstruct one."""
+    backend: Literal["auto", "gpytoolbox", "pymeshlab"] = "auto"
+    """Library for screened Poisson and remeshing; ``auto`` takes gpytoolbox, else pymeshlab."""
+    depth: int = 10
+    """Octree depth of screened Poisson."""
+    screening: float = 10.0
+    """Point (screening) weight of screened Poisson."""
+    faces_max: int = 20000
+    """Upper bound on template faces."""
+    faces_per_point: float = 4.0
+    """Template faces a keyframe point, below ``faces_max``."""
+    neighbours: int = 16
+    """Neighbours from which a missing normal is estimated."""
+    far_spacings: float = 4.0
+    """A surface place is far when its nearest point is further than this many mean point spacings."""
+    far_share_max: float = 0.05
+    """Largest share of far surface that passes the quality gate."""
+    attempts: int = 4
+    """Keyframes tried before the best failing template is used with a warning."""
+
+    def __post_init__(self) -> None:
+        _require(self.backend in ("auto", "gpytoolbox", "pymeshlab"), "template.backend", "auto, gpytoolbox or pymeshlab", self.backend)
+        _require(3 <= self.depth <= 14, "template.depth", "3 to 14", self.depth)
+        _require(self.screening >= 0, "template.screening", "a number from 0", self.screening)
+        _require(self.faces_max >= 20, "template.faces_max", "at least 20", self.faces_max)
+        _require(self.faces_per_point > 0, "template.faces_per_point", "a number above 0", self.faces_per_point)
+        _require(self.neighbours >= 4, "template.neighbours", "at least 4", self.neighbours)
+        _require(self.far_spacings > 0, "template.far_spacings", "a number above 0", self.far_spacings)
+        _require(0 <= self.far_share_max <= 1, "template.far_share_max", "0 to 1", self.far_share_max)
+        _require(self.attempts >= 1, "template.attempts", "at least 1", self.attempts)
+
+
+@dataclass(frozen=True)
+class GridConfig:
+    """The multi-resolution deformation grids (sec. Multi-Resolution Transformation Grid)."""
+
+    levels: int = 10
+    """Number L of the finest level; level l has 2l - 1 nodes an axis."""
+    coarsest: int = 1
+    """First level used; equal to ``levels`` it is the single-resolution ablation."""
+    prune: bool = False
+    """Keep only nodes near input points (sec. Implementation Details)."""
+    prune_cells: int = 3
+    """Nodes within this many cells of an occupied one are kept."""
+
+    def __post_init__(self) -> None:
+        _require(1 <= self.levels <= 16, "grid.levels", "1 to 16", self.levels)
+        _require(1 <= self.coarsest <= self.levels, "grid.coarsest", f"1 to grid.levels ({self.levels})", self.coarsest)
+        _require(self.prune_cells >= 0, "grid.prune_cells", "0 or more", self.prune_cells)
+
+
+@dataclass(frozen=True)
+class SobolevConfig:
+    """The preconditioner (I + lambda L)^-2 (sec. Spatial Smoothness via Grid Preconditioning)."""
+
+    enabled: bool = True
+    """False is the ablation without preconditioning; rates then fall to ``unpreconditioned_rate``."""
+    lambda_base: float = 0.25
+    """Smoothing weight of level 1."""
+    lambda_growth: float = 1.5
+    """Factor on the smoothing weight from a level to the next finer one."""
+    lambda_template: float = 16.0
+    """Smoothing weight on the template's edges."""
+    unpreconditioned_rate: float = 0.1
+    """Factor on all learning rates when ``enabled`` is false."""
+    solver: Literal["auto", "cosine", "cg", "warp"] = "auto"
+    """``cosine``: exact, full grids only; ``cg``: our conjugate gradients; ``warp``: warp.optim.linear; ``auto``: the fastest that fits."""
+    tolerance: float = 1e-4
+    """Residual, relative to the right-hand side, at which conjugate gradients stop."""
+    iterations_max: int = 200
+    """Conjugate-gradient iterations after which a solve is reported as not converged."""
+
+    def __post_init__(self) -> None:
+        _require(self.lambda_base >= 0, "sobolev.lambda_base", "a number from 0", self.lambda_base)
+        _require(self.lambda_growth > 0, "sobolev.lambda_growth", "a number above 0", self.lambda_growth)
+        _require(self.lambda_template >= 0, "sobolev.lambda_template", "a number from 0", self.lambda_template)
+        _require(self.unpreconditioned_rate > 0, "sobolev.unpreconditioned_rate", "a number above 0", self.unpreconditioned_rate)
+        _require(self.solver in ("auto", "cosine", "cg", "warp"), "sobolev.solver", "auto, cosine, cg or warp", self.solver)
+        _require(0 < self.tolerance < 1, "sobolev.tolerance", "between 0 and 1", self.tolerance)
+        _require(self.iterations_max >= 1, "sobolev.iterations_max", "at least 1", self.iterations_max)
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """The objective (sec. Optimization Objectives)."""
+
+    reduction: Literal["sum", "mean"] = "sum"
+    """Chamfer over points: ``sum`` as in the authors' program, ``mean`` as the paper prints it."""
+    mesh_weight: float = 1.0
+    """Weight of the robust Chamfer distance between template and keyframe."""
+    input_weight: float = 1.0
+    """Weight of the robust Chamfer distance between a moved cloud and the next cloud."""
+    transform_weight: float = 1.0
+    """Weight of the robust Chamfer distance between the moved template and a cloud."""
+    isometry_weight: float = 250.0
+    """Weight of the mean change of edge length between neighbouring frames; 0 is the ablation."""
+    robust_alpha: float = 5.56
+    """Sharpness of the robust weight exp(-alpha d^2), d in cube units; 0 switches it off."""
+    robust_power: Literal[2, 4] = 2
+    """2: weight exp(-alpha d^2) as printed; 4: exp(-alpha d^4) as in the authors' program."""
+    tangential: float = 0.1
+    """Weight of a residual's part along the target's surface; 1 is the plain distance of the paper."""
+    confidence: bool = True
+    """Weigh frames by the errors between them and the keyframe (par. Confidence-Based Error Control)."""
+    confidence_bound: Literal["max", "mean"] = "max"
+    """cd_max over the steps: ``max`` as printed, ``mean`` as in the authors' program."""
+    template_follows_all: bool = False
+    """True lets every frame move the template; False lets only the mesh term do so."""
+
+    def __post_init__(self) -> None:
+        _require(self.reduction in ("sum", "mean"), "loss.reduction", "sum or mean", self.reduction)
+        for key in ("mesh_weight", "input_weight", "transform_weight", "isometry_weight", "robust_alpha"):
+            _require(getattr(self, key) >= 0, f"loss.{key}", "a number from 0", getattr(self, key))
+        _require(self.robust_power in (2, 4), "loss.robust_power", "2 or 4", self.robust_power)
+        _require(0 <= self.tangential <= 1, "loss.tangential", "0 to 1", self.tangential)
+        _require(self.confidence_bound in ("max", "mean"), "loss.confidence_bound", "max or mean", self.confidence_bound)
+
+
+@dataclass(frozen=True)
+class OptimiserConfig:
+    """Adam and its schedule (sec. Implementation Details)."""
+
+    iterations: int = 400
+    """Iterations for up to 17 frames."""
+    iterations_per_frame: float = 4.0
+    """Further iterations for every frame beyond 17."""
+    warmup: int = 50
+    """First iterations, in which only the input and mesh terms act."""
+    rate: float = 5e-3
+    """Learning rate of level 1."""
+    rate_growth: float = 1.1
+    """Factor on the learning rate from a level to the next finer one."""
+    template_rate: float = 1e-4
+    """Learning rate of the template's vertices."""
+    decay: Literal["constant", "cosine"] = "cosine"
+    """``constant`` as in the paper, or a half cosine to 0 over the run."""
+    beta1: float = 0.9
+    """Adam's decay of the first moment."""
+    beta2: float = 0.999
+    """Adam's decay of the second moment."""
+    epsilon: float = 1e-8
+    """Adam's guard against division by zero."""
+
+    def __post_init__(self) -> None:
+        _require(self.iterations >= 1, "optimiser.iterations", "at least 1", self.iterations)
+        _require(self.iterations_per_frame >= 0, "optimiser.iterations_per_frame", "a number from 0", self.iterations_per_frame)
+        _require(self.warmup >= 0, "optimiser.warmup", "0 or more", self.warmup)
+        for key in ("rate", "rate_growth", "epsilon"):
+            _require(getattr(self, key) > 0, f"optimiser.{key}", "a number above 0", getattr(self, key))
+        _require(self.template_rate >= 0, "optimiser.template_rate", "a number from 0", self.template_rate)
+        _require(self.decay in ("constant", "cosine"), "optimiser.decay", "constant or cosine", self.decay)
+        for key in ("beta1", "beta2"):
+            _require(0 <= getattr(self, key) < 1, f"optimiser.{key}", "from 0 to below 1", getattr(self, key))
+
+    def total(self, frame_count: int) -> int:
+        """Iterations for a sequence of ``frame_count`` frames."""
+        return self.iterations + round(self.iterations_per_frame * max(0, frame_count - 17))
+
+
+@dataclass(frozen=True)
+class Config:
+    """One run, whole: the same input and the same Config give the same result."""
+
+    frames: str = ""
+    """Frames used, ``start:stop:step`` as a Python slice; empty: all."""
+    points: int = 0
+    """Points a frame, drawn without replacement; 0: all."""
+    fill: float = 0.95
+    """Half the side of the cube that the sequence's bounding box fills."""
+    seed: int = 0
+    """Seed of everything random."""
+    keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
+    template: TemplateConfig = field(default_factory=TemplateConfig)
+    grid: GridConfig = field(default_factory=GridConfig)
+    sobolev: SobolevConfig = field(default_factory=SobolevConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+
+    def __post_init__(self) -> None:
+        parse_slice(self.frames)
+        _require(self.points == 0 or self.points >= 10, "points", "0 (all) or at least 10", self.points)
+        _require(0 < self.fill <= 1, "fill", "above 0, up to 1", self.fill)
+        _require(self.seed >= 0, "seed", "0 or more", self.seed)
+        exact_on_pruned = self.sobolev.solver == "cosine" and self.grid.prune
+        _require(not exact_on_pruned, "sobolev.solver", "cg, warp or auto where grid.prune is true", "cosine")
+
+
+def parse_slice(text: str) -> slice:
+    """``"a:b:step"`` with any part left out to a slice; the empty text means every frame.
+
+    Raises:
+        ConfigError: not of that form, or step 0.
+    """
+    parts = text.split(":") if text else ["", ""]
+    try:
+        numbers = [int(p) if p.strip() else None for p in parts]
+    except ValueError:
+        numbers = []
+    ok = len(numbers) in (2, 3) and not (len(numbers) == 3 and numbers[2] == 0)
+    _require(ok, "frames", "start:stop or start:stop:step, as 10:27", text)
+    return slice(*numbers)
+
+
+PRESETS = ("default", "paper")
+
+
+def preset(name: str) -> Config:
+    """A named Config: ``default`` (measured to be better) or ``paper`` (the published values).
+
+    Raises:
+        ConfigError: an unknown name.
+    """
+    _require(name in PRESETS, "preset", "default or paper", name)
+    base = Config()
+    if name == "default":
+        return base
+    return replace(
+        base,
+        grid=replace(base.grid, prune=True),
+        sobolev=replace(base.sobolev, solver="cg"),
+        loss=replace(base.loss, tangential=1.0),
+        optimiser=replace(base.optimiser, iterations=5000, iterations_per_frame=80.0, warmup=100, decay="constant"),
+    )
+
+
+def group_names() -> tuple[str, ...]:
+    """The nested groups of ``Config``, in order."""
+    return tuple(f.name for f in fields(Config) if f.default_factory is not None and hasattr(f.default_factory, "__dataclass_fields__"))
