@@ -1,0 +1,71 @@
+"""Adam on preconditioned parameters (paper, sec. Implementation Details; Kingma and Ba).
+
+    m = b1 m + (1 - b1) g,  v = b2 v + (1 - b2) g^2,  u -= rate scale (m c1) / (sqrt(v c2) + eps)
+
+with c1, c2 the bias corrections and scale the decay, all three read from the schedule on the device. An optimiser
+step is not differentiated.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.levels import node8
+from warpdef.kernels.schedule import BIAS_1, BIAS_2, RATE_SCALE
+
+wp.set_module_options(MODULE_OPTIONS)
+
+
+@wp.func
+def adam_change(g: float, m: float, v: float, bias_1: float, bias_2: float, epsilon: float) -> float:
+    return m * bias_1 / (wp.sqrt(v * bias_2) + epsilon)
+
+
+@wp.kernel
+def _adam(
+    # In:
+    begin: int,
+    period: int,
+    rate: wp.array(dtype=wp.float32),
+    schedule: wp.array(dtype=wp.float32),
+    beta1: float,
+    beta2: float,
+    epsilon: float,
+    gradient: wp.array(dtype=Any),
+    # In and out:
+    first: wp.array(dtype=Any),
+    second: wp.array(dtype=Any),
+    parameter: wp.array(dtype=Any),
+):
+    """One thread a node or vertex; its rate is ``rate[i modulo period]``."""
+    i = begin + wp.tid()
+    scale = rate[i % period] * schedule[RATE_SCALE]
+    g = gradient[i]
+    m = beta1 * first[i] + (1.0 - beta1) * g
+    v = beta2 * second[i] + (1.0 - beta2) * wp.cw_mul(g, g)
+    p = parameter[i]
+    for c in range(len(g)):
+        p[c] = p[c] - scale * adam_change(g[c], m[c], v[c], schedule[BIAS_1], schedule[BIAS_2], epsilon)
+    first[i] = m
+    second[i] = v
+    parameter[i] = p
+
+
+for _dtype in (node8, wp.vec3):
+    _arrays = [wp.array(dtype=_dtype)] * 4
+    wp.overload(_adam, [int, int, wp.array(dtype=wp.float32), wp.array(dtype=wp.float32), float, float, float, *_arrays])
+
+
+def adam(begin, count, rate, schedule, betas, epsilon, gradient, first, second, parameter):
+    """One step for parameters ``begin .. begin + count``.
+
+    Args:
+        rate: shape (R,) float32, repeated over the parameters: (M,) for the nodes of every transition, (1,) for all alike.
+        schedule: see ``schedule.py``. betas: (beta1, beta2).
+        gradient, first, second, parameter: shape (N,) node8 or vec3, flat.
+    """
+    inputs = [begin, len(rate), rate, schedule, *betas, epsilon, gradient, first, second, parameter]
+    launch(_adam, count, inputs, parameter.device)

@@ -1,0 +1,351 @@
+"""The Sobolev solve (I + lambda L)^-1 on any graph, by conjugate gradients (paper, sec. Spatial Smoothness).
+
+Every component of a node (six of a grid node, three of a vertex) is its own right-hand side with its own step length,
+so a small rotation is solved as well as a large translation. A system stops when |r| <= tolerance |b| holds for each
+component; each solve tells its iterations and its worst relative residual. The start is the last solution.
+
+The CPU runs a whole system in one thread and stops early. CUDA runs the same recurrence over all systems at once, one
+launch a phase, a converged system standing still. The operator is symmetric: its own adjoint.
+"""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpdef.kernels.graphs import Graph
+from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.levels import node8
+
+wp.set_module_options(MODULE_OPTIONS)
+
+
+@wp.func
+def ratio(a: float, b: float) -> float:
+    """a / b, and 0 where b is 0: a component that is solved exactly stands still."""
+    q = float(0.0)
+    if b > 0.0:
+        q = a / b
+    return q
+
+
+@wp.func
+def worst_residual_sq(r_sq: Any, b_sq: Any) -> float:
+    """Largest |r|^2 / |b|^2 of the components; a zero right-hand side asks for a zero residual."""
+    worst = float(0.0)
+    for c in range(len(r_sq)):
+        if r_sq[c] > 0.0:
+            if b_sq[c] > 0.0:
+                worst = wp.max(worst, r_sq[c] / b_sq[c])
+            else:
+                worst = wp.max(worst, 1.0)
+    return worst
+
+
+def _kernels(dtype: Any) -> dict[str, wp.Kernel]:
+    """The kernels for one component count."""
+
+    @wp.func
+    def apply_row(
+        i: int,
+        weight: float,
+        row: wp.array(dtype=wp.int32),
+        column: wp.array(dtype=wp.int32),
+        x: wp.array(dtype=dtype),
+    ) -> dtype:
+        """Row i of (I + lambda (D - A)) x."""
+        begin = row[i]
+        end = row[i + 1]
+        total = (1.0 + weight * float(end - begin)) * x[i]
+        for k in range(begin, end):
+            total -= weight * x[column[k]]
+        return total
+
+    @wp.func
+    def ratios(a: dtype, b: dtype) -> dtype:
+        q = dtype()
+        for c in range(len(a)):
+            q[c] = ratio(a[c], b[c])
+        return q
+
+    @wp.kernel(module="unique")
+    def solve_systems(
+        # In:
+        first_system: int,
+        node: wp.array(dtype=wp.int32),
+        first: wp.array(dtype=wp.int32),
+        row: wp.array(dtype=wp.int32),
+        column: wp.array(dtype=wp.int32),
+        weight: wp.array(dtype=wp.float32),
+        tolerance: float,
+        iterations_max: int,
+        rhs: wp.array(dtype=dtype),
+        # In as the last solution; out, compact:
+        x: wp.array(dtype=dtype),
+        # Scratch, compact:
+        r: wp.array(dtype=dtype),
+        p: wp.array(dtype=dtype),
+        ap: wp.array(dtype=dtype),
+        # Out:
+        solution_out: wp.array(dtype=dtype),
+        iterations_out: wp.array(dtype=wp.int32),
+        residual_out: wp.array(dtype=wp.float32),
+    ):
+        """CPU: one thread a system."""
+        s = first_system + wp.tid()
+        begin = first[s]
+        end = first[s + 1]
+        w = weight[s]
+        r_sq = dtype()
+        b_sq = dtype()
+        for i in range(begin, end):
+            b = rhs[node[i]]
+            residual = b - apply_row(i, w, row, column, x)
+            r[i] = residual
+            p[i] = residual
+            r_sq += wp.cw_mul(residual, residual)
+            b_sq += wp.cw_mul(b, b)
+        done = int(0)
+        while done < iterations_max and worst_residual_sq(r_sq, b_sq) > tolerance * tolerance:
+            p_ap = dtype()
+            for i in range(begin, end):
+                v = apply_row(i, w, row, column, p)
+                ap[i] = v
+                p_ap += wp.cw_mul(p[i], v)
+            alpha = ratios(r_sq, p_ap)
+            next_sq = dtype()
+            for i in range(begin, end):
+                x[i] = x[i] + wp.cw_mul(alpha, p[i])
+                v = r[i] - wp.cw_mul(alpha, ap[i])
+                r[i] = v
+                next_sq += wp.cw_mul(v, v)
+            beta = ratios(next_sq, r_sq)
+            for i in range(begin, end):
+                p[i] = r[i] + wp.cw_mul(beta, p[i])
+            r_sq = next_sq
+            done = done + 1
+        for i in range(begin, end):
+            solution_out[node[i]] = x[i]
+        iterations_out[s] = done
+        residual_out[s] = wp.sqrt(worst_residual_sq(r_sq, b_sq))
+
+    @wp.kernel(module="unique")
+    def start(
+        node: wp.array(dtype=wp.int32),
+        system: wp.array(dtype=wp.int32),
+        row: wp.array(dtype=wp.int32),
+        column: wp.array(dtype=wp.int32),
+        weight: wp.array(dtype=wp.float32),
+        rhs: wp.array(dtype=dtype),
+        x: wp.array(dtype=dtype),
+        r_out: wp.array(dtype=dtype),
+        p_out: wp.array(dtype=dtype),
+        b_sq_out: wp.array(dtype=dtype),
+        r_sq_out: wp.array2d(dtype=dtype),
+    ):
+        """One thread a node."""
+        i = wp.tid()
+        s = system[i]
+        b = rhs[node[i]]
+        residual = b - apply_row(i, weight[s], row, column, x)
+        r_out[i] = residual
+        p_out[i] = residual
+        wp.atomic_add(b_sq_out, s, wp.cw_mul(b, b))
+        wp.atomic_add(r_sq_out, 0, s, wp.cw_mul(residual, residual))
+
+    @wp.kernel(module="unique")
+    def multiply(
+        step: int,
+        tolerance: float,
+        system: wp.array(dtype=wp.int32),
+        row: wp.array(dtype=wp.int32),
+        column: wp.array(dtype=wp.int32),
+        weight: wp.array(dtype=wp.float32),
+        b_sq: wp.array(dtype=dtype),
+        r_sq: wp.array2d(dtype=dtype),
+        p: wp.array(dtype=dtype),
+        ap_out: wp.array(dtype=dtype),
+        p_ap_out: wp.array2d(dtype=dtype),
+    ):
+        """One thread a node: A p and its part of p . A p."""
+        i = wp.tid()
+        s = system[i]
+        if worst_residual_sq(r_sq[step, s], b_sq[s]) > tolerance * tolerance:
+            v = apply_row(i, weight[s], row, column, p)
+            ap_out[i] = v
+            wp.atomic_add(p_ap_out, step, s, wp.cw_mul(p[i], v))
+
+    @wp.kernel(module="unique")
+    def update(
+        step: int,
+        tolerance: float,
+        system: wp.array(dtype=wp.int32),
+        b_sq: wp.array(dtype=dtype),
+        p_ap: wp.array2d(dtype=dtype),
+        p: wp.array(dtype=dtype),
+        ap: wp.array(dtype=dtype),
+        x: wp.array(dtype=dtype),
+        r: wp.array(dtype=dtype),
+        r_sq: wp.array2d(dtype=dtype),
+    ):
+        """One thread a node: step along p, new residual and its part of the norm."""
+        i = wp.tid()
+        s = system[i]
+        residual = r[i]
+        if worst_residual_sq(r_sq[step, s], b_sq[s]) > tolerance * tolerance:
+            alpha = ratios(r_sq[step, s], p_ap[step, s])
+            x[i] = x[i] + wp.cw_mul(alpha, p[i])
+            residual = residual - wp.cw_mul(alpha, ap[i])
+            r[i] = residual
+        wp.atomic_add(r_sq, step + 1, s, wp.cw_mul(residual, residual))
+
+    @wp.kernel(module="unique")
+    def turn(
+        step: int,
+        tolerance: float,
+        system: wp.array(dtype=wp.int32),
+        b_sq: wp.array(dtype=dtype),
+        r_sq: wp.array2d(dtype=dtype),
+        r: wp.array(dtype=dtype),
+        p: wp.array(dtype=dtype),
+    ):
+        """One thread a node: the next direction."""
+        i = wp.tid()
+        s = system[i]
+        if worst_residual_sq(r_sq[step, s], b_sq[s]) > tolerance * tolerance:
+            p[i] = r[i] + wp.cw_mul(ratios(r_sq[step + 1, s], r_sq[step, s]), p[i])
+
+    @wp.kernel(module="unique")
+    def finish(node: wp.array(dtype=wp.int32), x: wp.array(dtype=dtype), solution_out: wp.array(dtype=dtype)):
+        """One thread a node."""
+        i = wp.tid()
+        solution_out[node[i]] = x[i]
+
+    @wp.kernel(module="unique")
+    def report(
+        steps: int,
+        tolerance: float,
+        b_sq: wp.array(dtype=dtype),
+        r_sq: wp.array2d(dtype=dtype),
+        iterations_out: wp.array(dtype=wp.int32),
+        residual_out: wp.array(dtype=wp.float32),
+    ):
+        """One thread a system."""
+        s = wp.tid()
+        done = int(0)
+        while done < steps and worst_residual_sq(r_sq[done, s], b_sq[s]) > tolerance * tolerance:
+            done = done + 1
+        iterations_out[s] = done
+        residual_out[s] = wp.sqrt(worst_residual_sq(r_sq[steps, s], b_sq[s]))
+
+    @wp.kernel(module="unique")
+    def clear(array: wp.array(dtype=dtype)):
+        array[wp.tid()] = dtype()
+
+    @wp.kernel(module="unique")
+    def gather(node: wp.array(dtype=wp.int32), full: wp.array(dtype=dtype), compact_out: wp.array(dtype=dtype)):
+        i = wp.tid()
+        compact_out[i] = full[node[i]]
+
+    @wp.kernel(module="unique")
+    def multiply_add(
+        system: wp.array(dtype=wp.int32),
+        row: wp.array(dtype=wp.int32),
+        column: wp.array(dtype=wp.int32),
+        weight: wp.array(dtype=wp.float32),
+        x: wp.array(dtype=dtype),
+        y: wp.array(dtype=dtype),
+        alpha: float,
+        beta: float,
+        z_out: wp.array(dtype=dtype),
+    ):
+        """One thread a node: z = alpha (I + lambda L) x + beta y."""
+        i = wp.tid()
+        z = alpha * apply_row(i, weight[system[i]], row, column, x)
+        if beta != 0.0:
+            z += beta * y[i]
+        z_out[i] = z
+
+    kernels = (solve_systems, start, multiply, update, turn, finish, report, clear, gather, multiply_add)
+    for kernel in kernels:
+        kernel.module.options.update(MODULE_OPTIONS)
+    return {kernel.func.__name__: kernel for kernel in kernels}
+
+
+_KERNELS = {wp.vec3: _kernels(wp.vec3), node8: _kernels(node8)}
+
+
+class ConjugateGradients:
+    """``(I + lambda L)^-1`` on a ``Graph``; keeps its last solution as the next start.
+
+    Args:
+        graph: the systems. dtype: vec3 or node8. tolerance: relative residual to stop at.
+        iterations_max: iterations after which a solve gives up and says so in ``iterations`` and ``residual``.
+    """
+
+    def __init__(self, graph: Graph, dtype: Any, tolerance: float, iterations_max: int, device: wp.Device) -> None:
+        def ints(a: np.ndarray) -> wp.array:
+            return wp.array(a, dtype=wp.int32, device=device)
+
+        nodes, systems = len(graph.node), len(graph.weight)
+        self._device = device
+        self._kernels = _KERNELS[dtype]
+        self._tolerance, self._iterations_max = float(tolerance), int(iterations_max)
+        self._node, self._system, self._first = ints(graph.node), ints(graph.system), ints(graph.first)
+        self._row, self._column = ints(graph.row), ints(graph.column)
+        self._weight = wp.array(graph.weight, dtype=wp.float32, device=device)
+        self._x, self._r, self._p, self._ap = (wp.zeros(nodes, dtype=dtype, device=device) for _ in range(4))
+        self.iterations = wp.zeros(systems, dtype=wp.int32, device=device)
+        self.residual = wp.zeros(systems, dtype=wp.float32, device=device)
+        steps = 0 if device.is_cpu else self._iterations_max
+        self._b_sq = wp.zeros(systems, dtype=dtype, device=device)
+        self._r_sq = wp.zeros((steps + 1, systems), dtype=dtype, device=device)
+        self._p_ap = wp.zeros((steps + 1, systems), dtype=dtype, device=device)
+
+    def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None:
+        """Solve systems ``first .. last`` (last excluded); on CUDA all of them.
+
+        Args:
+            rhs, solution_out: flat full arrays of the graph's dtype; nodes that are not kept are left alone.
+        """
+        if not self._device.is_cpu:
+            self._solve_stepwise(rhs, solution_out)
+            return
+        graph = [self._node, self._first, self._row, self._column, self._weight]
+        work = [self._x, self._r, self._p, self._ap]
+        limits = [self._tolerance, self._iterations_max]
+        outputs = [solution_out, self.iterations, self.residual]
+        launch(self._kernels["solve_systems"], last - first, [first, *graph, *limits, rhs, *work, *outputs], self._device)
+
+    def multiply_add(self, x: wp.array, y: wp.array, z: wp.array, alpha: float, beta: float) -> None:
+        """``z = alpha (I + lambda L) x + beta y`` on compact arrays: the contract of warp.optim.linear's operators."""
+        inputs = [self._system, self._row, self._column, self._weight, x, y, float(alpha), float(beta), z]
+        launch(self._kernels["multiply_add"], len(self._node), inputs, self._device)
+
+    def gather(self, full: wp.array, compact_out: wp.array) -> None:
+        """Kept nodes of a full, flat array, in compact order."""
+        launch(self._kernels["gather"], len(self._node), [self._node, full, compact_out], self._device)
+
+    def scatter(self, compact: wp.array, full_out: wp.array) -> None:
+        """The way back; nodes that are not kept are left alone."""
+        launch(self._kernels["finish"], len(self._node), [self._node, compact, full_out], self._device)
+
+    def _solve_stepwise(self, rhs: wp.array, solution_out: wp.array) -> None:
+        def run(name: str, count: int, *inputs: Any) -> None:
+            launch(self._kernels[name], count, inputs, self._device)
+
+        nodes, systems, tolerance = len(self._node), len(self._weight), self._tolerance
+        for array in (self._b_sq, self._r_sq.flatten(), self._p_ap.flatten()):
+            run("clear", len(array), array)
+        matrix = (self._row, self._column, self._weight)
+        start = (self._node, self._system, *matrix, rhs, self._x, self._r, self._p, self._b_sq, self._r_sq)
+        run("start", nodes, *start)
+        for step in range(self._r_sq.shape[0] - 1):
+            norms = (self._b_sq, self._r_sq)
+            run("multiply", nodes, step, tolerance, self._system, *matrix, *norms, self._p, self._ap, self._p_ap)
+            moved = (self._b_sq, self._p_ap, self._p, self._ap, self._x, self._r, self._r_sq)
+            run("update", nodes, step, tolerance, self._system, *moved)
+            run("turn", nodes, step, tolerance, self._system, *norms, self._r, self._p)
+        self.scatter(self._x, solution_out)
+        last = self._r_sq.shape[0] - 1
+        run("report", systems, last, tolerance, self._b_sq, self._r_sq, self.iterations, self.residual)

@@ -1,0 +1,59 @@
+"""One way to launch: at once, or recorded so that a worker thread can replay it without Python's cost.
+
+A CPU launch is one serial loop, so a caller splits work into spans ``begin .. begin + count`` and hands them to
+threads. Inside ``recording()`` nothing runs: the commands are collected and replayed later, again and again.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import warp as wp
+
+# max_unroll=0 keeps compile time low (a level loop unrolled ten times costs ten times); contraction makes FMAs.
+MODULE_OPTIONS = {
+    "enable_backward": False,
+    "max_unroll": 0,
+    "cpu_compiler_flags": "-march=native -ffp-contract=fast -mllvm=-inline-threshold=9000",
+}
+
+_state = threading.local()
+
+
+@contextmanager
+def recording() -> Iterator[list[wp.Launch]]:
+    """Collect the launches of the block instead of running them; yields the list of commands."""
+    outer = getattr(_state, "commands", None)
+    _state.commands = []
+    try:
+        yield _state.commands
+    finally:
+        _state.commands = outer
+
+
+def launch(kernel: wp.Kernel, dim: int, inputs: Sequence[Any], device: wp.Device) -> None:
+    """Run ``kernel`` over ``dim`` threads, or record it inside ``recording()``. An empty span is no launch."""
+    if dim == 0:
+        return
+    commands = getattr(_state, "commands", None)
+    if commands is None:
+        wp.launch(kernel, dim=dim, inputs=list(inputs), device=device)
+    else:
+        commands.append(wp.launch(kernel, dim=dim, inputs=list(inputs), device=device, record_cmd=True))
+
+
+def require(array: wp.array, name: str, dtype: Any, shape: tuple[int | None, ...]) -> None:
+    """Check an array before a launch; None in ``shape`` accepts any length.
+
+    Raises:
+        TypeError: another dtype.
+        ValueError: another rank or length.
+    """
+    if not wp.types.types_equal(array.dtype, dtype):
+        raise TypeError(f"{name}: expected dtype {dtype.__name__}, got {array.dtype.__name__}")
+    fits = array.ndim == len(shape) and all(w is None or w == g for w, g in zip(shape, array.shape, strict=True))
+    if not fits:
+        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")

@@ -1,0 +1,202 @@
+"""Moving points by the deformation grids, forwards and back (paper, eq. of sec. Transformation Parameterization).
+
+    y = R(z) x + t,   (z, t) = T(x)                       sampled at the point itself
+    dy/dx = R(z) + d(R x)/dz dz/dx + dt/dx                the gradient flows through the sampling position
+    adjoint:  adj T += ((d(R x)/dz)^T adj y, adj y),   adj x += (dy/dx)^T adj y
+
+Clouds move one step and need no derivative to x: their positions are data. Template vertices run through a chain of
+steps; each stores dy/dx on the way out, so that the way back gathers nothing.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from warpdef.kernels.cayley import adj_rotate, rotate, rotate_along
+from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.levels import node8
+from warpdef.kernels.trilinear import adj_sample, sample, sample_with_derivative
+
+wp.set_module_options(MODULE_OPTIONS)
+
+
+@wp.func
+def motion_gradient(z: wp.vec3, x: wp.vec3, adj: wp.vec3) -> node8:
+    """Adjoint of y = R(z) x + t to (z, t), padded."""
+    r = adj_rotate(z, x, adj)
+    return node8(r[0], r[1], r[2], adj[0], adj[1], adj[2], 0.0, 0.0)
+
+
+@wp.kernel
+def _move_points(
+    # In:
+    begin: int,
+    nodes: wp.array2d(dtype=node8),
+    levels: wp.array(dtype=wp.int32),
+    level_count: int,
+    points: wp.array(dtype=wp.vec3),
+    transition: wp.array(dtype=wp.int32),
+    # Out:
+    rotation_out: wp.array(dtype=wp.vec3),
+    moved_out: wp.array(dtype=wp.vec3),
+):
+    """One thread a point."""
+    i = begin + wp.tid()
+    x = points[i]
+    t = sample(nodes, transition[i], levels, level_count, x[0], x[1], x[2])
+    z = wp.vec3(t[0], t[1], t[2])
+    rotation_out[i] = z
+    moved_out[i] = rotate(z, x) + wp.vec3(t[3], t[4], t[5])
+
+
+@wp.kernel
+def _adj_move_points(
+    # In:
+    begin: int,
+    levels: wp.array(dtype=wp.int32),
+    level_count: int,
+    points: wp.array(dtype=wp.vec3),
+    transition: wp.array(dtype=wp.int32),
+    rotation: wp.array(dtype=wp.vec3),
+    adj_moved: wp.array(dtype=wp.vec3),
+    # Out, added to:
+    adj_nodes_out: wp.array2d(dtype=node8),
+):
+    """One thread a point. On the CPU a transition's points belong to one thread: nothing else adds to its nodes."""
+    i = begin + wp.tid()
+    x = points[i]
+    g = motion_gradient(rotation[i], x, adj_moved[i])
+    adj_sample(adj_nodes_out, transition[i], levels, level_count, x[0], x[1], x[2], g)
+
+
+@wp.kernel
+def _move_vertices(
+    # In:
+    begin: int,
+    transition: int,
+    source: int,
+    target: int,
+    nodes: wp.array2d(dtype=node8),
+    levels: wp.array(dtype=wp.int32),
+    level_count: int,
+    # In, row source; out, row target:
+    vertices: wp.array2d(dtype=wp.vec3),
+    # Out:
+    rotation_out: wp.array2d(dtype=wp.vec3),
+    jacobian_out: wp.array2d(dtype=wp.mat33),
+):
+    """One thread a vertex, one step of the chain."""
+    i = begin + wp.tid()
+    x = vertices[source, i]
+    s = sample_with_derivative(nodes, transition, levels, level_count, x[0], x[1], x[2])
+    z = wp.vec3(s[0, 0], s[0, 1], s[0, 2])
+    rotation_out[transition, i] = z
+    vertices[target, i] = rotate(z, x) + wp.vec3(s[0, 3], s[0, 4], s[0, 5])
+    zx = wp.vec3(s[1, 0], s[1, 1], s[1, 2])
+    zy = wp.vec3(s[2, 0], s[2, 1], s[2, 2])
+    zz = wp.vec3(s[3, 0], s[3, 1], s[3, 2])
+    jx = rotate(z, wp.vec3(1.0, 0.0, 0.0)) + rotate_along(z, x, zx) + wp.vec3(s[1, 3], s[1, 4], s[1, 5])
+    jy = rotate(z, wp.vec3(0.0, 1.0, 0.0)) + rotate_along(z, x, zy) + wp.vec3(s[2, 3], s[2, 4], s[2, 5])
+    jz = rotate(z, wp.vec3(0.0, 0.0, 1.0)) + rotate_along(z, x, zz) + wp.vec3(s[3, 3], s[3, 4], s[3, 5])
+    # Rows are the derivatives along x, y, z: the transpose of dy/dx, which is what the way back multiplies by.
+    jacobian_out[transition, i] = wp.matrix_from_rows(jx, jy, jz)
+
+
+@wp.kernel
+def _adj_move_vertices(
+    # In:
+    begin: int,
+    transition: int,
+    source: int,
+    target: int,
+    carry_target: int,
+    carry_source: int,
+    vertices: wp.array2d(dtype=wp.vec3),
+    rotation: wp.array2d(dtype=wp.vec3),
+    jacobian: wp.array2d(dtype=wp.mat33),
+    confidence: wp.array(dtype=wp.float32),
+    adj_chamfer: wp.array2d(dtype=wp.vec3),
+    adj_isometry: wp.array2d(dtype=wp.vec3),
+    # In, row carry_target; out, row carry_source:
+    carry: wp.array2d(dtype=wp.vec3),
+    # Out:
+    adj_motion_out: wp.array2d(dtype=node8),
+):
+    """One thread a vertex, one step back: what frame target wants, plus what frames beyond it want."""
+    i = begin + wp.tid()
+    a = confidence[target] * adj_chamfer[target, i] + adj_isometry[target, i] + carry[carry_target, i]
+    adj_motion_out[transition, i] = motion_gradient(rotation[transition, i], vertices[source, i], a)
+    carry[carry_source, i] = jacobian[transition, i] * a
+
+
+@wp.kernel
+def _scatter_vertices(
+    # In:
+    begin: int,
+    transition: int,
+    source: int,
+    levels: wp.array(dtype=wp.int32),
+    level_count: int,
+    vertices: wp.array2d(dtype=wp.vec3),
+    adj_motion: wp.array2d(dtype=node8),
+    # Out, added to:
+    adj_nodes_out: wp.array2d(dtype=node8),
+):
+    """One thread a vertex: its six-vector gradient to the nodes around it."""
+    i = begin + wp.tid()
+    x = vertices[source, i]
+    adj_sample(adj_nodes_out, transition, levels, level_count, x[0], x[1], x[2], adj_motion[transition, i])
+
+
+def move_points(begin, count, nodes, levels, points, transition, rotation_out, moved_out):
+    """Move ``count`` cloud points from ``begin``, each by its own transition's grid.
+
+    Args:
+        nodes: shape (S, M) node8. levels: ``LevelTable.to_device``, shape (2 L,) int32.
+        points: shape (N,) vec3, cube units. transition: shape (N,) int32, the row of ``nodes`` that moves a point.
+        rotation_out: shape (N,) vec3, the sampled Cayley vector, kept for the adjoint. moved_out: shape (N,) vec3.
+    """
+    inputs = [begin, nodes, levels, len(levels) // 2, points, transition, rotation_out, moved_out]
+    launch(_move_points, count, inputs, nodes.device)
+
+
+def adj_move_points(begin, count, levels, points, transition, rotation, adj_moved, adj_nodes_out):
+    """Adjoint of ``move_points`` to the nodes; adds to ``adj_nodes_out``, shape (S, M) node8."""
+    inputs = [begin, levels, len(levels) // 2, points, transition, rotation, adj_moved, adj_nodes_out]
+    launch(_adj_move_points, count, inputs, adj_nodes_out.device)
+
+
+def move_vertices(begin, count, transition, source, target, nodes, levels, vertices, rotation_out, jacobian_out):
+    """Move vertices ``begin .. begin + count`` of frame ``source`` to frame ``target`` by grid ``transition``.
+
+    Args:
+        vertices: shape (T, V) vec3, cube units; row ``source`` is read, row ``target`` written.
+        rotation_out: shape (S, V) vec3. jacobian_out: shape (S, V) mat33, the transpose of dy/dx.
+    """
+    inputs = [begin, transition, source, target, nodes, levels, len(levels) // 2, vertices, rotation_out, jacobian_out]
+    launch(_move_vertices, count, inputs, nodes.device)
+
+
+def adj_move_vertices(
+    begin, count, transition, source, target, carry_target, carry_source,
+    vertices, rotation, jacobian, confidence, adj_chamfer, adj_isometry, carry, adj_motion_out,
+):  # fmt: skip
+    """Adjoint of ``move_vertices``: six-vector gradients of one step, and the gradient carried to frame ``source``.
+
+    Args:
+        carry: shape (T + 1, V) vec3; the row of a chain's last frame is 0. The extra row takes the backward chain's
+            gradient at the keyframe, which two chains reach.
+        confidence: shape (T,) float32, the weight of a frame's Chamfer gradient.
+        adj_chamfer, adj_isometry: shape (T, V) vec3. adj_motion_out: shape (S, V) node8.
+    """
+    inputs = [
+        begin, transition, source, target, carry_target, carry_source,
+        vertices, rotation, jacobian, confidence, adj_chamfer, adj_isometry, carry, adj_motion_out,
+    ]  # fmt: skip
+    launch(_adj_move_vertices, count, inputs, vertices.device)
+
+
+def scatter_vertices(begin, count, transition, source, levels, vertices, adj_motion, adj_nodes_out):
+    """Add the six-vector gradients of one step, shape (S, V) node8, to the nodes around the vertices of ``source``."""
+    inputs = [begin, transition, source, levels, len(levels) // 2, vertices, adj_motion, adj_nodes_out]
+    launch(_scatter_vertices, count, inputs, adj_nodes_out.device)

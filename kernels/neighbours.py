@@ -1,0 +1,260 @@
+"""Exact nearest neighbours in a hash grid, for many clouds at once; no gradient (paper, argmin of CD_R).
+
+Every group of targets (a frame's cloud, a frame's vertices) is sorted into R^3 cells over [-1, 1]^3, a cell being
+(z R + y) R + x, so that cells along x are neighbours in memory and a row of them is one run of points. A position
+outside the cube falls into the nearest border cell; since clamping to a box never lengthens a distance, all bounds
+below hold for it too, and the answer is exact at any distance. Ties go to the lowest index.
+
+The search starts from a candidate (the last answer, or the first point found in growing rings) and looks only at the
+cells that the ball through it touches, shrinking the ball as better points turn up.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import warp as wp
+
+from warpdef.kernels.launching import MODULE_OPTIONS, launch, require
+
+wp.set_module_options(MODULE_OPTIONS)
+
+# Rounding may put a point just outside a ball drawn with exact arithmetic: search a hair wider.
+_WIDEN = wp.constant(1.0001)
+_POINTS_PER_CELL = 6.0
+_RESOLUTION_MAX = 64
+
+
+@wp.func
+def axis_cell(u: float, resolution: int) -> int:
+    """Cell along one axis of a coordinate in [-1, 1]; clamped outside; NaN falls into cell 0."""
+    g = (u + 1.0) * 0.5 * float(resolution)
+    cell = int(0)
+    if g > 0.0:
+        cell = wp.min(int(wp.min(g, float(resolution))), resolution - 1)
+    return cell
+
+
+@wp.func
+def cell_of(p: wp.vec3, resolution: int) -> int:
+    x = axis_cell(p[0], resolution)
+    y = axis_cell(p[1], resolution)
+    return (axis_cell(p[2], resolution) * resolution + y) * resolution + x
+
+
+@wp.kernel
+def _sort_group(
+    # In:
+    first_group: int,
+    resolution: int,
+    points: wp.array(dtype=wp.vec3),
+    offset: wp.array(dtype=wp.int32),
+    # Scratch:
+    cell: wp.array(dtype=wp.int32),
+    # Out:
+    start_out: wp.array2d(dtype=wp.int32),
+    order_out: wp.array(dtype=wp.int32),
+    sorted_out: wp.array(dtype=wp.vec3),
+):
+    """One thread a group: a counting sort, stable, as one CPU core does it best."""
+    g = first_group + wp.tid()
+    cells = resolution * resolution * resolution
+    begin = offset[g]
+    end = offset[g + 1]
+    for c in range(cells + 1):
+        start_out[g, c] = 0
+    for i in range(begin, end):
+        c = cell_of(points[i], resolution)
+        cell[i] = c
+        start_out[g, c] = start_out[g, c] + 1
+    total = begin
+    for c in range(cells + 1):
+        total = total + start_out[g, c]
+        start_out[g, c] = total
+    # Backwards from each cell's end keeps the order within a cell.
+    for k in range(end - begin):
+        i = end - 1 - k
+        slot = start_out[g, cell[i]] - 1
+        start_out[g, cell[i]] = slot
+        order_out[slot] = i
+        sorted_out[slot] = points[i]
+
+
+@wp.kernel
+def _clear_cells(start_out: wp.array(dtype=wp.int32)):
+    start_out[wp.tid()] = 0
+
+
+@wp.kernel
+def _count_points(
+    resolution: int,
+    points: wp.array(dtype=wp.vec3),
+    group: wp.array(dtype=wp.int32),
+    cell_out: wp.array(dtype=wp.int32),
+    start_out: wp.array2d(dtype=wp.int32),
+):
+    """One thread a point."""
+    i = wp.tid()
+    c = cell_of(points[i], resolution)
+    cell_out[i] = c
+    wp.atomic_add(start_out, group[i], c, 1)
+
+
+@wp.kernel
+def _place_points(
+    points: wp.array(dtype=wp.vec3),
+    group: wp.array(dtype=wp.int32),
+    cell: wp.array(dtype=wp.int32),
+    start_out: wp.array2d(dtype=wp.int32),
+    order_out: wp.array(dtype=wp.int32),
+    sorted_out: wp.array(dtype=wp.vec3),
+):
+    """One thread a point. The order within a cell is not fixed; the search does not depend on it."""
+    i = wp.tid()
+    slot = wp.atomic_sub(start_out, group[i], cell[i], 1) - 1
+    order_out[slot] = i
+    sorted_out[slot] = points[i]
+
+
+@wp.func
+def gap(u: float, cell: int, resolution: int) -> float:
+    """Distance along one axis from u (clamped into the cube) to a cell; 0 inside."""
+    size = 2.0 / float(resolution)
+    low = float(cell) * size - 1.0
+    return wp.max(wp.max(low - u, u - low - size), 0.0)
+
+
+@wp.func
+def first_candidate(
+    q: wp.vec3,
+    group: int,
+    resolution: int,
+    start: wp.array2d(dtype=wp.int32),
+    order: wp.array(dtype=wp.int32),
+) -> int:
+    """Slot of some point in the nearest ring of cells that has one; -1 if the group is empty."""
+    cx = axis_cell(q[0], resolution)
+    cy = axis_cell(q[1], resolution)
+    cz = axis_cell(q[2], resolution)
+    found = int(-1)
+    ring = int(0)
+    while found < 0 and ring < resolution:
+        x0 = wp.max(cx - ring, 0)
+        x1 = wp.min(cx + ring, resolution - 1)
+        for z in range(wp.max(cz - ring, 0), wp.min(cz + ring, resolution - 1) + 1):
+            for y in range(wp.max(cy - ring, 0), wp.min(cy + ring, resolution - 1) + 1):
+                row = (z * resolution + y) * resolution
+                if start[group, row + x1 + 1] > start[group, row + x0]:
+                    found = start[group, row + x0]
+        ring = ring + 1
+    return found
+
+
+@wp.kernel
+def _nearest(
+    # In:
+    begin: int,
+    queries: wp.array(dtype=wp.vec3),
+    query_group: wp.array(dtype=wp.int32),
+    resolution: int,
+    points: wp.array(dtype=wp.vec3),
+    start: wp.array2d(dtype=wp.int32),
+    order: wp.array(dtype=wp.int32),
+    sorted_points: wp.array(dtype=wp.vec3),
+    # In as the last answer or -1; out:
+    index_out: wp.array(dtype=wp.int32),
+):
+    """One thread a query; a negative group asks nothing and answers -1."""
+    i = begin + wp.tid()
+    group = query_group[i]
+    best = int(-1)
+    if group >= 0:
+        q = queries[i]
+        best = index_out[i]
+        if best < 0:
+            slot = first_candidate(q, group, resolution, start, order)
+            if slot >= 0:
+                best = order[slot]
+    if best >= 0:
+        best_sq = wp.length_sq(points[best] - q)
+        radius = wp.sqrt(best_sq) * _WIDEN
+        ux = wp.clamp(q[0], -1.0, 1.0)
+        uy = wp.clamp(q[1], -1.0, 1.0)
+        uz = wp.clamp(q[2], -1.0, 1.0)
+        y0 = axis_cell(uy - radius, resolution)
+        y1 = axis_cell(uy + radius, resolution)
+        for z in range(axis_cell(uz - radius, resolution), axis_cell(uz + radius, resolution) + 1):
+            gap_z = gap(uz, z, resolution)
+            for y in range(y0, y1 + 1):
+                gap_y = gap(uy, y, resolution)
+                room = best_sq * _WIDEN - gap_z * gap_z - gap_y * gap_y
+                if room >= 0.0:
+                    reach = wp.sqrt(room) * _WIDEN
+                    row = (z * resolution + y) * resolution
+                    last = start[group, row + axis_cell(ux + reach, resolution) + 1]
+                    for slot in range(start[group, row + axis_cell(ux - reach, resolution)], last):
+                        d_sq = wp.length_sq(sorted_points[slot] - q)
+                        if d_sq < best_sq:
+                            best_sq = d_sq
+                            best = order[slot]
+                        elif d_sq == best_sq:
+                            best = wp.min(best, order[slot])
+    index_out[i] = best
+
+
+def cells_per_axis(points_per_group: float) -> int:
+    """Cells an axis so that an occupied cell of a surface holds about six points; 4 to 64."""
+    return int(min(max(round(math.sqrt(points_per_group / _POINTS_PER_CELL)), 4), _RESOLUTION_MAX))
+
+
+class PointGrid:
+    """Targets of a search, grouped; ``build`` sorts them anew where they moved, ``nearest`` answers.
+
+    Args:
+        points: shape (N,) vec3, cube units, groups behind each other; read at every ``build``.
+        sizes: points in each group, G integers that sum to N.
+    """
+
+    def __init__(self, points: wp.array, sizes: list[int] | np.ndarray) -> None:
+        require(points, "points", wp.vec3, (int(np.sum(sizes)),))
+        device = points.device
+        self.points = points
+        self.offset = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
+        self.resolution = cells_per_axis(float(np.max(sizes)))
+        group = np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
+        self._offset = wp.array(self.offset, dtype=wp.int32, device=device)
+        self._group = wp.array(group, dtype=wp.int32, device=device)
+        self._start = wp.zeros((len(sizes), self.resolution**3 + 1), dtype=wp.int32, device=device)
+        self._cell = wp.zeros(len(points), dtype=wp.int32, device=device)
+        self._order = wp.zeros(len(points), dtype=wp.int32, device=device)
+        self._sorted = wp.zeros(len(points), dtype=wp.vec3, device=device)
+
+    def build(self, first: int = 0, last: int | None = None) -> None:
+        """Sort the points of groups ``first .. last`` (last excluded; None: all) into their cells.
+
+        On CUDA all groups are always sorted: spans are a matter of CPU threads.
+        """
+        device = self.points.device
+        if device.is_cpu:
+            count = (len(self.offset) - 1 if last is None else last) - first
+            inputs = [first, self.resolution, self.points, self._offset]
+            launch(_sort_group, count, [*inputs, self._cell, self._start, self._order, self._sorted], device)
+            return
+        flat = self._start.flatten()
+        launch(_clear_cells, len(flat), [flat], device)
+        counting = [self.resolution, self.points, self._group, self._cell, self._start]
+        launch(_count_points, len(self.points), counting, device)
+        wp.utils.array_scan(flat, flat, inclusive=True)
+        placing = [self.points, self._group, self._cell, self._start, self._order, self._sorted]
+        launch(_place_points, len(self.points), placing, device)
+
+    def nearest(self, begin: int, count: int, queries: wp.array, query_group: wp.array, index_out: wp.array) -> None:
+        """Index of the nearest target, counted over all groups, for queries ``begin .. begin + count``.
+
+        Args:
+            queries: shape (Q,) vec3, cube units. query_group: shape (Q,) int32; negative: no answer wanted.
+            index_out: shape (Q,) int32, on entry the last answer (a good start, any target of the group) or -1.
+        """
+        targets = [self.resolution, self.points, self._start, self._order, self._sorted]
+        launch(_nearest, count, [begin, queries, query_group, *targets, index_out], queries.device)

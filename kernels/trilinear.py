@@ -1,0 +1,187 @@
+"""Trilinear multi-level sampling of six-vectors, and its adjoints (paper, eq. 1).
+
+    T(p) = 1/L sum_l sum_c w_lc(p) T_lc          dT/dp = 1/L sum_l sum_c dw_lc/dp T_lc
+    adjoint to a node:      adj T_lc += w_lc(p)/L adj T
+    adjoint to a position:  adj p    += (dT/dp)^T adj T
+
+Positions outside the cube are clamped to it, and the derivative along a clamped axis is 0. The three functions are
+native snippets: one node is one 8-float register on the CPU (twice the speed of Warp's own loops, measured), and
+compiling them takes a tenth of the time. The same text serves CUDA, where the register is a small struct.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from warpdef.kernels.launching import MODULE_OPTIONS
+from warpdef.kernels.levels import node8
+
+wp.set_module_options(MODULE_OPTIONS)
+
+sample_jacobian = wp.types.matrix(shape=(4, 8), dtype=wp.float32)
+
+# One register of eight floats: a vector extension on the CPU, two 16-byte halves on CUDA.
+_REGISTER = """
+#if defined(__CUDA_ARCH__)
+    struct reg {
+        float4 a, b;
+        __device__ reg() {}
+        __device__ reg(float s) : a(make_float4(s, s, s, s)), b(make_float4(s, s, s, s)) {}
+        __device__ reg(float4 a_, float4 b_) : a(a_), b(b_) {}
+        __device__ reg operator+(const reg& o) const { return reg(
+            make_float4(a.x + o.a.x, a.y + o.a.y, a.z + o.a.z, a.w + o.a.w),
+            make_float4(b.x + o.b.x, b.y + o.b.y, b.z + o.b.z, b.w + o.b.w)); }
+        __device__ reg operator-(const reg& o) const { return reg(
+            make_float4(a.x - o.a.x, a.y - o.a.y, a.z - o.a.z, a.w - o.a.w),
+            make_float4(b.x - o.b.x, b.y - o.b.y, b.z - o.b.z, b.w - o.b.w)); }
+        __device__ reg operator*(float s) const { return reg(
+            make_float4(a.x * s, a.y * s, a.z * s, a.w * s), make_float4(b.x * s, b.y * s, b.z * s, b.w * s)); }
+    };
+    #define LOAD(q) reg(*(const float4*)(q), *((const float4*)(q) + 1))
+    #define STORE(q, r) { (q)[0] = (r).a.x; (q)[1] = (r).a.y; (q)[2] = (r).a.z; (q)[3] = (r).a.w; \\
+                          (q)[4] = (r).b.x; (q)[5] = (r).b.y; (q)[6] = (r).b.z; (q)[7] = (r).b.w; }
+    #define ADD(q, r) { atomicAdd((q) + 0, (r).a.x); atomicAdd((q) + 1, (r).a.y); atomicAdd((q) + 2, (r).a.z); \\
+                        atomicAdd((q) + 3, (r).a.w); atomicAdd((q) + 4, (r).b.x); atomicAdd((q) + 5, (r).b.y); }
+    #define ZERO reg(0.0f)
+#else
+    typedef float reg __attribute__((vector_size(32), aligned(4)));
+    #define LOAD(q) (*(const reg*)(q))
+    #define STORE(q, r) (*(reg*)(q) = (r))
+    #define ADD(q, r) (*(reg*)(q) += (r))
+    #define ZERO reg{0, 0, 0, 0, 0, 0, 0, 0}
+#endif
+"""
+
+# The cell of level l that holds (px, py, pz): base pointer q, strides sx sy sz in floats, fractions fx fy fz.
+# A comparison that NaN fails sends NaN to the border, so that no index ever leaves the level.
+_CELL = """
+        const int n = levels.data[2 * l];
+        const float top = (float)(n - 1), half = 0.5f * top;
+        const float gx = (px + 1.0f) * half, gy = (py + 1.0f) * half, gz = (pz + 1.0f) * half;
+        const float ux = gx > 0.0f ? (gx < top ? gx : top) : 0.0f;
+        const float uy = gy > 0.0f ? (gy < top ? gy : top) : 0.0f;
+        const float uz = gz > 0.0f ? (gz < top ? gz : top) : 0.0f;
+        const int last = n > 1 ? n - 2 : 0, step = n > 1 ? 8 : 0;
+        int ix = (int)ux, iy = (int)uy, iz = (int)uz;
+        ix = ix < last ? ix : last; iy = iy < last ? iy : last; iz = iz < last ? iz : last;
+        const float fx = ux - (float)ix, fy = uy - (float)iy, fz = uz - (float)iz;
+        const int sx = step * n * n, sy = step * n, sz = step;
+        const size_t node = (size_t)levels.data[2 * l + 1] + (size_t)((ix * n + iy) * n + iz);
+"""
+
+_VALUE = (
+    _REGISTER
+    + """
+    const float* base = (const float*)nodes.data + (size_t)transition * nodes.shape[1] * 8;
+    reg sum = ZERO;
+    for (int l = 0; l < level_count; ++l) {
+"""
+    + _CELL
+    + """
+        const float* q = base + 8 * node;
+        const reg a00 = LOAD(q) + (LOAD(q + sz) - LOAD(q)) * fz;
+        const reg a01 = LOAD(q + sy) + (LOAD(q + sy + sz) - LOAD(q + sy)) * fz;
+        const reg a10 = LOAD(q + sx) + (LOAD(q + sx + sz) - LOAD(q + sx)) * fz;
+        const reg a11 = LOAD(q + sx + sy) + (LOAD(q + sx + sy + sz) - LOAD(q + sx + sy)) * fz;
+        const reg b0 = a00 + (a01 - a00) * fy, b1 = a10 + (a11 - a10) * fy;
+        sum = sum + b0 + (b1 - b0) * fx;
+    }
+    sum = sum * (1.0f / (float)level_count);
+    wp::vec_t<8, wp::float32> result;
+    STORE((float*)&result, sum);
+    return result;
+"""
+)
+
+_VALUE_AND_DERIVATIVE = (
+    _REGISTER
+    + """
+    const float* base = (const float*)nodes.data + (size_t)transition * nodes.shape[1] * 8;
+    reg sum = ZERO, dx = ZERO, dy = ZERO, dz = ZERO;
+    for (int l = 0; l < level_count; ++l) {
+"""
+    + _CELL
+    + """
+        // A clamped axis does not move the sample.
+        const float hx = (gx >= 0.0f && gx <= top) ? half : 0.0f;
+        const float hy = (gy >= 0.0f && gy <= top) ? half : 0.0f;
+        const float hz = (gz >= 0.0f && gz <= top) ? half : 0.0f;
+        const float* q = base + 8 * node;
+        const reg c000 = LOAD(q), c010 = LOAD(q + sy), c100 = LOAD(q + sx), c110 = LOAD(q + sx + sy);
+        const reg z00 = LOAD(q + sz) - c000, z01 = LOAD(q + sy + sz) - c010;
+        const reg z10 = LOAD(q + sx + sz) - c100, z11 = LOAD(q + sx + sy + sz) - c110;
+        const reg a00 = c000 + z00 * fz, a01 = c010 + z01 * fz, a10 = c100 + z10 * fz, a11 = c110 + z11 * fz;
+        const reg y0 = a01 - a00, y1 = a11 - a10;
+        const reg b0 = a00 + y0 * fy, b1 = a10 + y1 * fy;
+        const reg z0 = z00 + (z01 - z00) * fy, z1 = z10 + (z11 - z10) * fy;
+        sum = sum + b0 + (b1 - b0) * fx;
+        dx = dx + (b1 - b0) * hx;
+        dy = dy + (y0 + (y1 - y0) * fx) * hy;
+        dz = dz + (z0 + (z1 - z0) * fx) * hz;
+    }
+    const float share = 1.0f / (float)level_count;
+    wp::mat_t<4, 8, wp::float32> result;
+    float* r = (float*)&result;
+    STORE(r, sum * share); STORE(r + 8, dx * share); STORE(r + 16, dy * share); STORE(r + 24, dz * share);
+    return result;
+"""
+)
+
+_SCATTER = (
+    _REGISTER
+    + """
+    float* base = (float*)adj_nodes.data + (size_t)transition * adj_nodes.shape[1] * 8;
+    const float share = 1.0f / (float)level_count;
+    const reg g = LOAD((const float*)&adj_value) * share;
+    for (int l = 0; l < level_count; ++l) {
+"""
+    + _CELL
+    + """
+        float* q = base + 8 * node;
+        const reg g1 = g * fx, g0 = g - g1;
+        const reg g01 = g0 * fy, g00 = g0 - g01, g11 = g1 * fy, g10 = g1 - g11;
+        const reg h00 = g00 * fz, h01 = g01 * fz, h10 = g10 * fz, h11 = g11 * fz;
+        ADD(q, g00 - h00); ADD(q + sz, h00);
+        ADD(q + sy, g01 - h01); ADD(q + sy + sz, h01);
+        ADD(q + sx, g10 - h10); ADD(q + sx + sz, h10);
+        ADD(q + sx + sy, g11 - h11); ADD(q + sx + sy + sz, h11);
+    }
+"""
+)
+
+
+@wp.func_native(_VALUE)
+def sample(
+    nodes: wp.array2d(dtype=node8),
+    transition: int,
+    levels: wp.array(dtype=wp.int32),
+    level_count: int,
+    px: float,
+    py: float,
+    pz: float,
+) -> node8: ...
+
+
+@wp.func_native(_VALUE_AND_DERIVATIVE)
+def sample_with_derivative(
+    nodes: wp.array2d(dtype=node8),
+    transition: int,
+    levels: wp.array(dtype=wp.int32),
+    level_count: int,
+    px: float,
+    py: float,
+    pz: float,
+) -> sample_jacobian: ...
+
+
+@wp.func_native(_SCATTER)
+def adj_sample(
+    adj_nodes: wp.array2d(dtype=node8),
+    transition: int,
+    levels: wp.array(dtype=wp.int32),
+    level_count: int,
+    px: float,
+    py: float,
+    pz: float,
+    adj_value: node8,
+): ...

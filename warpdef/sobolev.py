@@ -1,0 +1,146 @@
+"""The Sobolev preconditioner (I + lambda L)^-1 for grids and template (paper, sec. Spatial Smoothness).
+
+Parameters x are optimised as u = (I + lambda L) x: x = (I + lambda L)^-1 u forwards, grad_u = (I + lambda L)^-1 grad_x
+backwards. Three ways to solve: exact cosine transforms on full grids, our conjugate gradients on any graph, and Warp's
+own as the reference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import warp as wp
+
+from warpdef.config import Config
+from warpdef.kernels.cg import ConjugateGradients
+from warpdef.kernels.cosine import CosineSolver
+from warpdef.kernels.graphs import Graph, grid_graph
+from warpdef.kernels.levels import LevelTable, node8
+
+
+@dataclass
+class SolveReport:
+    """What the solves of a run did, worst case over all that were looked at.
+
+    iterations: most iterations of one solve. residual: largest relative residual. stalled: solves that gave up.
+    """
+
+    solver: str
+    iterations: int = 0
+    residual: float = 0.0
+    stalled: int = 0
+
+
+class Solver(Protocol):
+    """Solves for transitions ``first .. last``; ``direct`` solvers run on the host and cannot be recorded."""
+
+    direct: bool
+
+    def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None: ...
+
+    def look(self, report: SolveReport) -> None: ...
+
+
+class _Cosine:
+    direct = False
+
+    def __init__(self, levels: LevelTable, lambdas: np.ndarray, transitions: int, device: wp.Device) -> None:
+        self._solver = CosineSolver(levels, lambdas, transitions, device)
+        self.solve = self._solver.solve
+
+    def look(self, report: SolveReport) -> None:
+        """Exact: nothing to tell."""
+
+
+class _Conjugate:
+    direct = False
+
+    def __init__(self, graph: Graph, dtype: Any, systems_each: int, config: Config, device: wp.Device) -> None:
+        limits = config.sobolev
+        self._solver = ConjugateGradients(graph, dtype, limits.tolerance, limits.iterations_max, device)
+        self._tolerance = limits.tolerance
+        self._systems_each = systems_each
+
+    def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None:
+        each = self._systems_each
+        self._solver.solve(rhs.flatten(), solution_out.flatten(), first * each, last * each)
+
+    def look(self, report: SolveReport) -> None:
+        _note(report, int(self._solver.iterations.numpy().max()), self._solver.residual.numpy(), self._tolerance)
+
+
+class _Reference:
+    """warp.optim.linear.cg: one call over all systems, whatever span is asked for. Slow on the CPU; tests lean on it."""
+
+    direct = True
+
+    def __init__(self, graph: Graph, dtype: Any, config: Config, device: wp.Device) -> None:
+        import warp.optim.linear as linear
+
+        width = 3 if dtype is wp.vec3 else 8
+        ours = ConjugateGradients(graph, dtype, config.sobolev.tolerance, 1, device)
+        offsets = wp.array(graph.first * width, dtype=wp.int32, device=device)
+        nodes = len(graph.node)
+        self._cg, self._limits = linear.cg, config.sobolev
+        self._b, self._x = (wp.zeros(nodes, dtype=dtype, device=device) for _ in range(2))
+        self._gather, self._scatter = ours.gather, ours.scatter
+        self._operator = linear.LinearOperator(
+            (nodes * width, nodes * width), dtype, device, ours.multiply_add, batch_offsets=offsets
+        )
+        self._done = (0, 0.0)
+
+    def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None:
+        self._gather(rhs.flatten(), self._b)
+        limits = self._limits
+        done, residual, bound = self._cg(
+            self._operator, self._b, self._x, tol=limits.tolerance, maxiter=limits.iterations_max, check_every=5
+        )
+        # Its residual and bound are absolute; relative to the bound is what a report can compare.
+        self._done = (int(done), float(residual) / max(float(bound), 1e-30) * limits.tolerance)
+        self._scatter(self._x, solution_out.flatten())
+
+    def look(self, report: SolveReport) -> None:
+        _note(report, self._done[0], np.array([self._done[1]]), self._limits.tolerance)
+
+
+def _note(report: SolveReport, iterations: int, residuals: np.ndarray, tolerance: float) -> None:
+    report.iterations = max(report.iterations, iterations)
+    report.residual = max(report.residual, float(residuals.max()))
+    # float32 rounding of the recursion: a hair above the tolerance is not a stall.
+    report.stalled += int((residuals > 1.01 * tolerance).sum())
+
+
+def solver_name(config: Config) -> str:
+    """What ``auto`` means for this configuration."""
+    if config.sobolev.solver != "auto":
+        return config.sobolev.solver
+    return "cg" if config.grid.prune else "cosine"
+
+
+def level_lambdas(config: Config) -> np.ndarray:
+    """Smoothing weight of each level in use; all 0 without preconditioning, which makes every solve the identity."""
+    if not config.sobolev.enabled:
+        return np.zeros(config.grid.levels - config.grid.coarsest + 1)
+    index = np.arange(config.grid.coarsest - 1, config.grid.levels)
+    return config.sobolev.lambda_base * config.sobolev.lambda_growth**index
+
+
+def grid_solver(config: Config, levels: LevelTable, kept: np.ndarray, device: wp.Device) -> Solver:
+    """A solver for the grids of all transitions; ``kept`` is (S, M) bool."""
+    name = solver_name(config)
+    lambdas = level_lambdas(config)
+    if name == "cosine":
+        return _Cosine(levels, lambdas, len(kept), device)
+    graph = grid_graph(levels, kept, lambdas)
+    if name == "warp":
+        return _Reference(graph, node8, config, device)
+    return _Conjugate(graph, node8, levels.count, config, device)
+
+
+def template_solver(config: Config, graph: Graph, device: wp.Device) -> Solver:
+    """A solver for the template's vertices."""
+    if solver_name(config) == "warp":
+        return _Reference(graph, wp.vec3, config, device)
+    return _Conjugate(graph, wp.vec3, 1, config, device)

@@ -1,0 +1,165 @@
+"""Runs an iteration: phases one after the other, the tasks of a phase side by side.
+
+On the CPU a Warp launch is one thread that releases the interpreter lock, so tasks (whole frames, ranges of vertices)
+are recorded once and replayed by a fixed team of threads with a barrier between phases. No two tasks of a phase write
+the same memory, and each task adds up in its own order: the result is the same bits for any number of threads.
+On CUDA each phase is launched whole, and one iteration is captured as one graph.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import warp as wp
+
+from warpdef.errors import DeviceError
+from warpdef.kernels.launching import recording
+
+Task = Callable[[], None]
+
+
+@dataclass
+class Phase:
+    """Tasks that may run at the same time. ``direct``: plain Python, run by the caller, never recorded."""
+
+    name: str
+    tasks: list[Task] = field(default_factory=list)
+    direct: bool = False
+
+
+def find_device(name: str) -> wp.Device:
+    """``auto`` (the first CUDA device, else the CPU), ``cpu``, ``cuda`` or ``cuda:N``.
+
+    Raises:
+        DeviceError: no such device here.
+    """
+    wp.config.log_level = wp.LOG_WARNING if hasattr(wp, "LOG_WARNING") else wp.config.log_level
+    wp.init()
+    if name == "auto":
+        return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
+    there = [d.alias for d in wp.get_devices()]
+    wanted = "cuda:0" if name == "cuda" else name
+    if wanted not in there:
+        raise DeviceError(f"--device: expected one of auto, {', '.join(there)}, got {name}; take one that is there")
+    return wp.get_device(wanted)
+
+
+def usable_cores() -> int:
+    """Cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Team:
+    """Threads that replay recorded commands; the caller works along. Close it when done."""
+
+    def __init__(self, size: int) -> None:
+        self._start = threading.Barrier(size)
+        self._end = threading.Barrier(size)
+        self._work: list[list[wp.Launch]] = []
+        self._next = iter(())
+        self._failure: BaseException | None = None
+        self._closing = False
+        self._threads = [threading.Thread(target=self._serve, daemon=True) for _ in range(size - 1)]
+        for thread in self._threads:
+            thread.start()
+
+    def run(self, work: list[list[wp.Launch]]) -> None:
+        """Replay every command list once, in any order, each list by one thread; returns when all are done."""
+        if not self._threads or len(work) == 1:
+            for commands in work:
+                for command in commands:
+                    command.launch()
+            return
+        # One shared iterator hands out the lists: next() is atomic under the interpreter lock.
+        self._next = iter(work)
+        self._start.wait()
+        self._drain()
+        self._end.wait()
+        if self._failure is not None:
+            failure, self._failure = self._failure, None
+            raise failure
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._threads and not self._closing:
+            self._closing = True
+            self._start.wait()
+            for thread in self._threads:
+                thread.join()
+        self._threads = []
+
+    def _drain(self) -> None:
+        try:
+            for commands in self._next:
+                for command in commands:
+                    command.launch()
+        except BaseException as failure:  # a worker's failure must reach the caller, and must not stop the barrier
+            self._failure = failure
+
+    def _serve(self) -> None:
+        while True:
+            self._start.wait()
+            if self._closing:
+                return
+            self._drain()
+            self._end.wait()
+
+
+class Iteration:
+    """One iteration, ready to run again and again.
+
+    Args:
+        phases: in order. device: where the arrays live. team: the threads (unused on CUDA).
+        capture: on CUDA, capture all phases as one graph at the first run; phases with ``direct`` forbid it.
+    """
+
+    def __init__(self, phases: Sequence[Phase], device: wp.Device, team: Team, capture: bool = True) -> None:
+        self._phases = list(phases)
+        self._device = device
+        self._team = team
+        self._recorded: list[list[list[wp.Launch]] | None] | None = None
+        self._graph = None
+        self._capture = capture and device.is_cuda and not any(p.direct for p in phases)
+        self._warm = False
+
+    def run(self) -> None:
+        """Run all phases once; returns before CUDA is done."""
+        if self._device.is_cuda:
+            self._run_cuda()
+            return
+        if self._recorded is None:
+            self._recorded = [None if phase.direct else _record(phase) for phase in self._phases]
+        for phase, work in zip(self._phases, self._recorded, strict=True):
+            if work is None:
+                for task in phase.tasks:
+                    task()
+            else:
+                self._team.run(work)
+
+    def _run_cuda(self) -> None:
+        # The first run is plain: modules load and scratch memory is allocated, neither of which can be captured.
+        if not self._capture or not self._warm:
+            for phase in self._phases:
+                for task in phase.tasks:
+                    task()
+            self._warm = True
+            return
+        if self._graph is None:
+            with wp.ScopedCapture(device=self._device) as captured:
+                for phase in self._phases:
+                    for task in phase.tasks:
+                        task()
+            self._graph = captured.graph
+        wp.capture_launch(self._graph)
+
+
+def _record(phase: Phase) -> list[list[wp.Launch]]:
+    work = []
+    for task in phase.tasks:
+        with recording() as commands:
+            task()
+        work.append(commands)
+    return work
