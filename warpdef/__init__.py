@@ -1,3 +1,46 @@
-"""warpdef: from a sequence of raw point clouds to one mesh that moves."""
+"""warpdef: from a sequence of raw point clouds to one mesh that moves.
+
+    sequence = warpdef.read_clouds("scans/")
+    result = warpdef.reconstruct(sequence)
+    result.vertices, result.faces      # (T, V, 3), (F, 3)
+
+Names are loaded when first used, so that importing warpdef costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "Config": "warpdef.config",
+    "preset": "warpdef.config",
+    "MeshSequence": "warpdef.mesh",
+    "TriMesh": "warpdef.mesh",
+    "PointSequence": "warpdef.sequence",
+    "Progress": "warpdef.progress",
+    "Reconstruction": "warpdef.result",
+    "WarpdefError": "warpdef.errors",
+    "evaluate": "warpdef.metrics",
+    "load_run": "warpdef.run_folder",
+    "read_clouds": "warpdef.files",
+    "read_mesh": "warpdef.files",
+    "read_mesh_sequence": "warpdef.files",
+    "reconstruct": "warpdef.reconstruct",
+    "sample_sequence": "warpdef.sample",
+    "walking_figure": "warpdef.figure",
+}
+
+__all__ = ["__version__", *_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'warpdef' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -24,7 +24,7 @@ from warpdef.kernels.chamfer import fixed_to_moving, moving_to_fixed
 from warpdef.kernels.isometry import isometry
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_points, move_vertices, scatter_vertices
-from warpdef.kernels.neighbours import PointGrid
+from warpdef.kernels.neighbours import NearestSearch, PointGrid
 from warpdef.kernels.schedule import clear_losses, clear_vectors, confidence
 from warpdef.problem import Problem
 from warpdef.workers import Phase
@@ -59,11 +59,11 @@ class Objective:
         self.vertex_grid = PointGrid(self.vertices.flatten(), np.full(frames, count))
         self.cloud_grid.build()
 
-        def unknown(length: int) -> wp.array:
-            return wp.full(length, -1, dtype=wp.int32, device=device)
-
-        self.moved_to_cloud, self.cloud_to_moved = unknown(len(p.origin)), unknown(len(p.cloud))
-        self.vertex_to_cloud, self.cloud_to_vertex = unknown(frames * count), unknown(len(p.cloud))
+        flat = self.vertices.flatten()
+        self.moved_to_cloud = NearestSearch(self.cloud_grid, self.moved, p.moved_target)
+        self.cloud_to_moved = NearestSearch(self.moved_grid, p.cloud, p.cloud_transition)
+        self.vertex_to_cloud = NearestSearch(self.cloud_grid, flat, p.vertex_frame)
+        self.cloud_to_vertex = NearestSearch(self.vertex_grid, p.cloud, p.cloud_frame)
 
         self.loss_input = wp.zeros(steps, dtype=wp.float64, device=device)
         self.loss_transform = wp.zeros(frames, dtype=wp.float64, device=device)
@@ -101,15 +101,15 @@ class Objective:
             begin, count, self.nodes, self.levels, p.origin, p.moved_transition, self.moved_rotation, self.moved
         )
         self.moved_grid.build(first, last)
-        self.cloud_grid.nearest(begin, count, self.moved, p.moved_target, self.moved_to_cloud)
-        self.moved_grid.nearest(met_begin, met_count, p.cloud, p.cloud_transition, self.cloud_to_moved)
+        self.moved_to_cloud.run(begin, count)
+        self.cloud_to_moved.run(met_begin, met_count)
         results = (self._input_weight, self._robust, self.loss_input, self.adj_moved)
         moving_to_fixed(
-            begin, count, self.moved, p.moved_transition, self.moved_to_cloud, p.cloud, p.normals,
+            begin, count, self.moved, p.moved_transition, self.moved_to_cloud.index, p.cloud, p.normals,
             self._moved_share, *results,
         )  # fmt: skip
         fixed_to_moving(
-            met_begin, met_count, p.cloud, p.normals, p.cloud_transition, self.cloud_to_moved, self.moved,
+            met_begin, met_count, p.cloud, p.normals, p.cloud_transition, self.cloud_to_moved.index, self.moved,
             self._met_share, *results,
         )  # fmt: skip
         adj_move_points(
@@ -133,14 +133,14 @@ class Objective:
         met_begin, met_count = _span(p.cloud_first, first, last)
         clear_losses(first, last - first, self.loss_transform)
         self.vertex_grid.build(first, last)
-        self.cloud_grid.nearest(begin, count, flat, p.vertex_frame, self.vertex_to_cloud)
-        self.vertex_grid.nearest(met_begin, met_count, p.cloud, p.cloud_frame, self.cloud_to_vertex)
+        self.vertex_to_cloud.run(begin, count)
+        self.cloud_to_vertex.run(met_begin, met_count)
         results = (self._transform_weight, self._robust, self.loss_transform, adj)
         moving_to_fixed(
-            begin, count, flat, p.vertex_frame, self.vertex_to_cloud, p.cloud, p.normals, self._vertex_share, *results
+            begin, count, flat, p.vertex_frame, self.vertex_to_cloud.index, p.cloud, p.normals, self._vertex_share, *results
         )
         fixed_to_moving(
-            met_begin, met_count, p.cloud, p.normals, p.cloud_frame, self.cloud_to_vertex, flat,
+            met_begin, met_count, p.cloud, p.normals, p.cloud_frame, self.cloud_to_vertex.index, flat,
             self._cloud_share, *results,
         )  # fmt: skip
 

@@ -66,6 +66,14 @@ class Optimiser:
         self._warmup = Iteration(self._phases(warmup=True), device, team, capture)
         self._full = Iteration(self._phases(warmup=False), device, team, capture)
 
+    def prepare(self) -> None:
+        """Compile every kernel, so that the first step costs what the others do."""
+        if self.problem.device.is_cpu:
+            self._warmup.prepare()
+            self._full.prepare()
+        else:
+            wp.load_module("warpdef.kernels", device=self.problem.device, recursive=True)
+
     def step(self) -> None:
         """One iteration; on CUDA it returns before the device is done."""
         (self._warmup if self.done < self.config.warmup else self._full).run()

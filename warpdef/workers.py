@@ -56,6 +56,7 @@ class Team:
     """Threads that replay recorded commands; the caller works along. Close it when done."""
 
     def __init__(self, size: int) -> None:
+        self.size = size
         self._start = threading.Barrier(size)
         self._end = threading.Barrier(size)
         self._work: list[list[wp.Launch]] = []
@@ -125,14 +126,18 @@ class Iteration:
         self._capture = capture and device.is_cuda and not any(p.direct for p in phases)
         self._warm = False
 
+    def prepare(self) -> list[list[list[wp.Launch]] | None]:
+        """CPU: record all commands, which compiles what they need."""
+        if self._recorded is None:
+            self._recorded = [None if phase.direct else _record(phase) for phase in self._phases]
+        return self._recorded
+
     def run(self) -> None:
         """Run all phases once; returns before CUDA is done."""
         if self._device.is_cuda:
             self._run_cuda()
             return
-        if self._recorded is None:
-            self._recorded = [None if phase.direct else _record(phase) for phase in self._phases]
-        for phase, work in zip(self._phases, self._recorded, strict=True):
+        for phase, work in zip(self._phases, self.prepare(), strict=True):
             if work is None:
                 for task in phase.tasks:
                     task()
