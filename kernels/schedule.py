@@ -113,6 +113,12 @@ def _clear_rows(begin: int, array: wp.array(dtype=wp.vec3)):
 
 
 @wp.kernel
+def _copy(source: wp.array(dtype=wp.vec3), target_out: wp.array(dtype=wp.vec3)):
+    i = wp.tid()
+    target_out[i] = source[i]
+
+
+@wp.kernel
 def _clear_nodes(begin: int, array: wp.array(dtype=node8)):
     array[begin + wp.tid()] = node8()
 
@@ -142,6 +148,11 @@ def clear_losses(begin, count, array):
 def clear_vectors(begin, count, array):
     """Zero a span of a vec3 array."""
     launch(_clear_rows, count, [begin, array], array.device)
+
+
+def copy_vectors(source, target_out):
+    """Copy a vec3 array, recordable like any launch."""
+    launch(_copy, len(source), [source, target_out], source.device)
 
 
 def clear_nodes(begin, count, array):

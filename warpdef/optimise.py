@@ -15,7 +15,7 @@ import warp as wp
 
 from warpdef.kernels.adam import adam
 from warpdef.kernels.levels import node8
-from warpdef.kernels.schedule import SCHEDULE_SIZE, advance, clear_nodes, template_gradient
+from warpdef.kernels.schedule import SCHEDULE_SIZE, advance, clear_nodes, copy_vectors, template_gradient
 from warpdef.objective import Objective
 from warpdef.problem import Problem
 from warpdef.sobolev import Solver, SolveReport, grid_solver, solver_name, template_solver
@@ -46,7 +46,8 @@ class Optimiser:
         )
         self._shape_u.assign(_unsolve(problem))
         self.objective = Objective(problem, self.nodes, self._adj_nodes, self._schedule)
-        self._shape = self.objective.vertices[problem.transitions.keyframe]
+        # The template apart from the keyframe's row of vertices, which other tasks read while it changes.
+        self._shape = problem.vectors(problem.template)
 
         sobolev = problem.config.sobolev
         factor = 1.0 if sobolev.enabled else sobolev.unpreconditioned_rate
@@ -88,6 +89,7 @@ class Optimiser:
     def vertices(self) -> np.ndarray:
         """Vertices of all frames for the parameters as they are now, (T, V, 3) float32, cube units, template order."""
         objective = self.objective
+        self._place_template()
         objective.chain_all()
         return objective.vertices.numpy()[:, self.problem.place]
 
@@ -96,6 +98,10 @@ class Optimiser:
     def _advance(self) -> None:
         c = self.config
         advance(self.iterations, c.decay == "cosine", c.beta1, c.beta2, self._step, self._schedule)
+        self._place_template()
+
+    def _place_template(self) -> None:
+        copy_vectors(self._shape, self.objective.vertices[self.problem.transitions.keyframe])
 
     def _descend(self, first: int, last: int) -> None:
         """Adam on the grids of transitions ``first .. last``; then their gradient is cleared for the next iteration."""

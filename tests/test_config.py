@@ -1,0 +1,168 @@
+"""Every field of the configuration is checked when it is set; presets and frame ranges."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+
+import pytest
+
+from warpdef.config import PRESETS, Config, OptimiserConfig, group_names, parse_slice, preset
+from warpdef.errors import ConfigError
+
+POSITIVE = ([0, -1.0], [1e-6, 3.0])
+FROM_ZERO = ([-1e-6], [0, 5.0])
+COUNT = ([0, -3], [1, 7])
+FREE = ([], [True, False])
+
+# field: values refused, values taken. A new field without an entry fails the test below.
+BOUNDS: dict[str, tuple[list, list]] = {
+    "frames": (["3", "a:b", "1:2:0", "1:2:3:4", "1.5:2"], ["", ":", "10:27", "::2", "-5:", "27:10:-1"]),
+    "points": ([-1, 1, 9], [0, 10, 5000]),
+    "fill": ([0, -0.5, 1.01], [0.5, 1]),
+    "seed": ([-1], [0, 2**40]),
+    "keyframe.choice": (["last", "", "-1", "1.5"], ["auto", "first", "middle", "0", "12"]),
+    "keyframe.voxels": ([0, 1025], [1, 1024]),
+    "keyframe.gamma": FROM_ZERO,
+    "template.mesh": ([], ["", "body.ply"]),
+    "template.backend": (["open3d", ""], ["auto", "gpytoolbox", "pymeshlab"]),
+    "template.depth": ([2, 15], [3, 14]),
+    "template.screening": FROM_ZERO,
+    "template.faces_max": ([19, 0], [20, 10**6]),
+    "template.faces_per_point": POSITIVE,
+    "template.neighbours": ([3], [4, 40]),
+    "template.far_spacings": POSITIVE,
+    "template.far_share_max": ([-0.1, 1.1], [0, 1]),
+    "template.attempts": COUNT,
+    "grid.levels": ([0, 17], [1, 16]),
+    "grid.coarsest": ([0, 11], [1, 10]),
+    "grid.prune": FREE,
+    "grid.prune_cells": ([-1], [0, 9]),
+    "sobolev.enabled": FREE,
+    "sobolev.lambda_base": FROM_ZERO,
+    "sobolev.lambda_growth": POSITIVE,
+    "sobolev.lambda_template": FROM_ZERO,
+    "sobolev.unpreconditioned_rate": POSITIVE,
+    "sobolev.solver": (["lu", ""], ["auto", "cosine", "cg", "warp"]),
+    "sobolev.tolerance": ([0, 1, -1e-3], [1e-8, 0.5]),
+    "sobolev.iterations_max": COUNT,
+    "loss.reduction": (["max"], ["sum", "mean"]),
+    "loss.mesh_weight": FROM_ZERO,
+    "loss.input_weight": FROM_ZERO,
+    "loss.transform_weight": FROM_ZERO,
+    "loss.isometry_weight": FROM_ZERO,
+    "loss.robust_alpha": FROM_ZERO,
+    "loss.robust_power": ([0, 1, 3], [2, 4]),
+    "loss.tangential": ([-0.1, 1.1], [0, 1]),
+    "loss.confidence": FREE,
+    "loss.confidence_bound": (["min"], ["max", "mean"]),
+    "loss.template_follows_all": FREE,
+    "optimiser.iterations": COUNT,
+    "optimiser.iterations_per_frame": FROM_ZERO,
+    "optimiser.warmup": ([-1], [0, 100]),
+    "optimiser.rate": POSITIVE,
+    "optimiser.rate_growth": POSITIVE,
+    "optimiser.template_rate": FROM_ZERO,
+    "optimiser.decay": (["linear"], ["constant", "cosine"]),
+    "optimiser.beta1": ([-0.1, 1], [0, 0.99]),
+    "optimiser.beta2": ([-0.1, 1], [0, 0.99]),
+    "optimiser.epsilon": POSITIVE,
+}
+
+
+def changed(config: Config, key: str, value) -> Config:
+    group, _, name = key.rpartition(".")
+    return replace(config, **{group: replace(getattr(config, group), **{name: value})} if group else {name: value})
+
+
+def all_keys() -> list[str]:
+    keys = []
+    for f in fields(Config):
+        group = getattr(Config(), f.name)
+        keys += [f"{f.name}.{g.name}" for g in fields(group)] if is_dataclass(group) else [f.name]
+    return keys
+
+
+def test_every_field_has_bounds_here():
+    assert sorted(BOUNDS) == sorted(all_keys())
+
+
+@pytest.mark.parametrize(("key", "value"), [(key, value) for key, (bad, _) in BOUNDS.items() for value in bad])
+def test_refused_values(key, value):
+    with pytest.raises(ConfigError, match=f"configuration: {key}: expected .*, got "):
+        changed(Config(), key, value)
+
+
+@pytest.mark.parametrize(("key", "value"), [(key, value) for key, (_, good) in BOUNDS.items() for value in good])
+def test_taken_values(key, value):
+    group, _, name = key.rpartition(".")
+    made = changed(Config(), key, value)
+    assert getattr(getattr(made, group) if group else made, name) == value
+
+
+def test_nan_is_refused_where_bounds_are():
+    for key, (bad, good) in BOUNDS.items():
+        if bad and isinstance(good[-1], float):
+            with pytest.raises(ConfigError, match=key):
+                changed(Config(), key, float("nan"))
+
+
+def test_exact_solver_needs_full_grids():
+    with pytest.raises(ConfigError, match="sobolev.solver: expected cg, warp or auto where grid.prune is true"):
+        changed(changed(Config(), "sobolev.solver", "cosine"), "grid.prune", True)
+
+
+def test_single_resolution():
+    made = changed(Config(), "grid.coarsest", Config().grid.levels)
+    assert made.grid.coarsest == made.grid.levels
+
+
+def test_a_config_is_frozen_and_compares():
+    with pytest.raises(FrozenInstanceError):
+        Config().seed = 1  # type: ignore[misc]
+    assert Config() == Config()
+    assert hash(Config()) == hash(Config())
+    assert changed(Config(), "loss.tangential", 0.5) != Config()
+
+
+def test_presets():
+    assert preset("default") == Config()
+    paper = preset("paper")
+    # The paper: 5,000 iterations at 17 frames and 10,000 at 80, pruned grids, plain distances, constant rates.
+    assert paper.optimiser.total(17) == 5000
+    assert paper.optimiser.total(80) == pytest.approx(10000, rel=0.01)
+    assert paper.grid.prune
+    assert paper.loss.tangential == 1
+    assert paper.optimiser.decay == "constant"
+    assert {preset(name) for name in PRESETS} == {Config(), paper}
+    with pytest.raises(ConfigError, match="preset: expected default or paper, got 'fast'"):
+        preset("fast")
+
+
+def test_iterations_grow_with_frames():
+    made = OptimiserConfig(iterations=100, iterations_per_frame=2.5)
+    assert [made.total(t) for t in (2, 17, 18, 19, 37)] == [100, 100, 102, 105, 150]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", range(30)),
+        ("10:27", range(10, 27)),
+        (" 1 : 9 : 3 ", range(1, 9, 3)),
+        ("-3:", range(27, 30)),
+        ("::-1", range(29, -1, -1)),
+    ],
+)
+def test_parse_slice(text, expected):
+    assert list(range(30))[parse_slice(text)] == list(expected)
+
+
+@pytest.mark.parametrize("text", ["7", "a:b", "1:2:0", "1:2:3:4", "1;2", "1:2.0"])
+def test_parse_slice_refuses(text):
+    with pytest.raises(ConfigError, match=r"frames: expected start:stop or start:stop:step, as 10:27, got"):
+        parse_slice(text)
+
+
+def test_group_names():
+    assert [key.partition(".")[0] for key in dict.fromkeys(k for k in all_keys() if "." in k)] != []
+    assert list(group_names()) == list(dict.fromkeys(key.partition(".")[0] for key in all_keys() if "." in key))

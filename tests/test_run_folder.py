@@ -1,0 +1,345 @@
+"""The run folder: read back as written, never half there, and nothing foreign ever deleted."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warpdef import run_folder
+from warpdef.config import Config, OptimiserConfig
+from warpdef.errors import InputError
+from warpdef.files import read_mesh, read_mesh_frames, read_mesh_sequence
+from warpdef.json_text import json_text
+from warpdef.run_folder import RunFolder, load_run, write_metrics
+
+pytest.importorskip("tomli_w")
+
+FACES = np.array([[0, 1, 2], [0, 2, 3]])
+VERTICES = np.random.default_rng(0).normal(size=(12, 4, 3)).astype(np.float32)
+
+
+def save(place: RunFolder, **changes) -> Path:
+    result = {
+        "vertices": VERTICES,
+        "faces": FACES,
+        "keyframe": 5,
+        "config": Config(seed=7, optimiser=OptimiserConfig(iterations=3)),
+        "report": {"iterations": np.int64(3), "seconds": {"load": np.float32(0.5)}, "warnings": ["naïve"]},
+        "steps": [{"iteration": i, "loss": 1.0 / (i + 1)} for i in range(3)],
+        "names": [f"scan{i}.ply" for i in range(12)],
+    }
+    return place.save(**(result | changes))
+
+
+def entries(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir())
+
+
+def test_a_run_is_read_back(tmp_path):
+    out = save(RunFolder.prepare(tmp_path / "new" / "out"))
+    assert out == tmp_path / "new" / "out"
+    assert entries(tmp_path / "new") == ["out"]
+    assert entries(out) == ["config.toml", "meshes", "report.json", "sequence.npz", "steps.jsonl"]
+    run = load_run(out)
+    np.testing.assert_array_equal(run.meshes.vertices, VERTICES)
+    np.testing.assert_array_equal(run.meshes.faces, FACES)
+    assert run.meshes.vertices.dtype == np.float32
+    assert run.keyframe == 5
+    assert run.names == tuple(f"scan{i}.ply" for i in range(12))
+    assert run.config == Config(seed=7, optimiser=OptimiserConfig(iterations=3))
+    assert run.report == {"iterations": 3, "seconds": {"load": 0.5}, "warnings": ["naïve"]}
+    steps = [json.loads(line) for line in (out / "steps.jsonl").read_text().splitlines()]
+    assert steps == [{"iteration": 0, "loss": 1.0}, {"iteration": 1, "loss": 0.5}, {"iteration": 2, "loss": 1 / 3}]
+
+
+def test_other_readers_take_a_run(tmp_path):
+    out = save(RunFolder.prepare(tmp_path / "out"))
+    with np.load(out / "sequence.npz", allow_pickle=False) as stored:
+        assert sorted(stored.files) == ["faces", "keyframe", "names", "vertices"]
+        assert (stored["vertices"].dtype, stored["faces"].dtype, stored["keyframe"].shape) == (np.float32, np.int32, ())
+    for path in (out, out / "meshes"):
+        np.testing.assert_array_equal(read_mesh_sequence(path).vertices, VERTICES)
+        np.testing.assert_array_equal([m.vertices for m in read_mesh_frames(path, slice(9, 12))], VERTICES[9:])
+    assert entries(out / "meshes") == [f"{i:04d}.ply" for i in range(12)]
+    np.testing.assert_array_equal(read_mesh(out / "meshes" / "0003.ply").vertices, VERTICES[3])
+
+
+def test_a_result_obeys_the_umask(tmp_path):
+    out = save(RunFolder.prepare(tmp_path / "out"))
+    (tmp_path / "plain").mkdir()
+    assert out.stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_report_may_be_asked_for_last(tmp_path):
+    def report():
+        (partial,) = tmp_path.iterdir()
+        return {"there": entries(partial)}
+
+    out = save(RunFolder.prepare(tmp_path / "out"), report=report)
+    assert load_run(out).report == {"there": ["config.toml", "meshes", "sequence.npz", "steps.jsonl"]}
+
+
+def test_prepare_leaves_nothing(tmp_path):
+    place = RunFolder.prepare(tmp_path / "a" / "b" / "out")
+    assert place.path == tmp_path / "a" / "b" / "out"
+    assert entries(tmp_path) == []
+
+
+def test_existing_places_are_refused(tmp_path):
+    out = save(RunFolder.prepare(tmp_path / "out"))
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").write_text("x")
+    for place in (out, tmp_path / "empty", tmp_path / "file", tmp_path, Path(".")):
+        with pytest.raises(InputError, match="already exists; choose another place, or replace it with --overwrite"):
+            RunFolder.prepare(place)
+
+
+def test_overwrite_replaces_a_result(tmp_path):
+    out = save(RunFolder.prepare(tmp_path / "out"))
+    write_metrics(out, {"mean": 1})
+    (out / "meshes" / "0099.ply").unlink(missing_ok=True)
+    (out / ".DS_Store").write_text("left by a file browser")
+    save(RunFolder.prepare(out, overwrite=True), vertices=VERTICES[:3], names=["a", "b", "c"], keyframe=1)
+    assert load_run(out).names == ("a", "b", "c")
+    assert entries(out / "meshes") == ["0000.ply", "0001.ply", "0002.ply"]
+    assert not (out / "metrics.json").exists()
+    assert entries(tmp_path) == ["out"]
+    (tmp_path / "empty").mkdir()
+    assert load_run(save(RunFolder.prepare(tmp_path / "empty", overwrite=True))).keyframe == 5
+    assert load_run(save(RunFolder.prepare(tmp_path / "fresh", overwrite=True))).keyframe == 5
+
+
+def test_overwrite_follows_a_link(tmp_path):
+    out = save(RunFolder.prepare(tmp_path / "out"))
+    (tmp_path / "link").symlink_to(out)
+    save(RunFolder.prepare(tmp_path / "link", overwrite=True), keyframe=2)
+    assert (tmp_path / "link").is_symlink()
+    assert load_run(out).keyframe == 2
+
+
+def foreign_home(out: Path) -> None:
+    shutil.rmtree(out)
+    out.mkdir()
+    (out / "thesis.tex").write_text("mine")
+
+
+def foreign_file(out: Path) -> None:
+    (out / "notes.txt").write_text("mine")
+
+
+def foreign_folder(out: Path) -> None:
+    (out / "figures").mkdir()
+
+
+def foreign_mesh(out: Path) -> None:
+    (out / "meshes" / "head.blend").write_text("mine")
+
+
+def foreign_link(out: Path) -> None:
+    shutil.rmtree(out / "meshes")
+    (out / "meshes").symlink_to(out.parent)
+
+
+def foreign_sequence(out: Path) -> None:
+    (out / "report.json").unlink()
+
+
+def only_a_file(out: Path) -> None:
+    shutil.rmtree(out)
+    out.write_text("mine")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (foreign_home, "it has no sequence.npz"),
+        (foreign_file, "it holds 'notes.txt'"),
+        (foreign_folder, "it holds 'figures'"),
+        (foreign_mesh, "it holds 'meshes/head.blend'"),
+        (foreign_link, "its meshes are elsewhere"),
+        (foreign_sequence, "it has no report.json"),
+        (only_a_file, "it is a file"),
+    ],
+)
+def test_foreign_things_are_never_overwritten(tmp_path, spoil, message):
+    out = save(RunFolder.prepare(tmp_path / "out"))
+    place = RunFolder.prepare(out, overwrite=True)
+    spoil(out)
+    before = sorted(str(p) for p in tmp_path.rglob("*"))
+    with pytest.raises(InputError, match=f"replaces only warpdef results, but {message}"):
+        RunFolder.prepare(out, overwrite=True)
+    assert sorted(str(p) for p in tmp_path.rglob("*")) == before
+    # Spoilt only during the computation: the foreign thing and the new result are both kept.
+    with pytest.raises(InputError, match=f"{message}.* The finished result is in .*out-1"):
+        save(place, keyframe=9)
+    assert load_run(tmp_path / "out-1").keyframe == 9
+    shutil.rmtree(tmp_path / "out-1")
+    assert sorted(str(p) for p in tmp_path.rglob("*")) == before
+
+
+def test_a_place_taken_meanwhile(tmp_path):
+    first, second = RunFolder.prepare(tmp_path / "out"), RunFolder.prepare(tmp_path / "out")
+    save(first, keyframe=1)
+    with pytest.raises(InputError, match=r"already exists.*The finished result is in .*out-1"):
+        save(second, keyframe=2)
+    assert load_run(tmp_path / "out").keyframe == 1
+    assert load_run(tmp_path / "out-1").keyframe == 2
+
+
+@pytest.mark.parametrize("name", ["file/out", "a\0b", "x" * 300])
+def test_impossible_places(tmp_path, name):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="cannot be created"):
+        RunFolder.prepare(f"{tmp_path}/{name}")
+    assert entries(tmp_path) == ["file"]
+
+
+def test_a_place_without_permission(tmp_path):
+    (tmp_path / "locked").mkdir(mode=0o500)
+    if os.access(tmp_path / "locked", os.W_OK):
+        pytest.skip("this user may write everywhere")
+    with pytest.raises(InputError, match="cannot be created .*Permission denied"):
+        RunFolder.prepare(tmp_path / "locked" / "out")
+
+
+def full_disk(*_args, **_kwargs):
+    raise OSError(28, "No space left on device")
+
+
+def interrupted(*_args, **_kwargs):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("failing", ["write_npz", "write_ply", "_write_text", "json_text"])
+@pytest.mark.parametrize(("failure", "error"), [(full_disk, InputError), (interrupted, KeyboardInterrupt)])
+def test_failure_leaves_the_old_result(tmp_path, monkeypatch, failing, failure, error):
+    out = save(RunFolder.prepare(tmp_path / "out"))
+    fresh, again = RunFolder.prepare(tmp_path / "fresh"), RunFolder.prepare(out, overwrite=True)
+    monkeypatch.setattr(run_folder, failing, failure)
+    for place in (fresh, again):
+        with pytest.raises(error, match="No space left" if error is InputError else None):
+            save(place, keyframe=1)
+    assert entries(tmp_path) == ["out"]
+    assert load_run(out).keyframe == 5
+
+
+def test_a_real_limit_on_file_size(tmp_path):
+    resource = pytest.importorskip("resource")
+    place = RunFolder.prepare(tmp_path / "out")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(InputError, match=r"sequence\.npz: cannot be written \(File too large\)"):
+            save(place)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert entries(tmp_path) == []
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_failing_renames(tmp_path, monkeypatch, step):
+    out = save(RunFolder.prepare(tmp_path / "out"))
+    place = RunFolder.prepare(out, overwrite=True)
+    rename, calls = os.rename, []
+
+    def failing(source, target):
+        calls.append(source)
+        if len(calls) == step:
+            raise OSError(5, "Input/output error")
+        rename(source, target)
+
+    monkeypatch.setattr(run_folder.os, "rename", failing)
+    with pytest.raises(InputError, match="Input/output error"):
+        save(place, keyframe=1)
+    assert load_run(out).keyframe == 5
+    assert entries(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"names": ["a"]}, "expected 12 frame names and a keyframe among them, got 1 names and keyframe 5"),
+        ({"keyframe": 12}, "got 12 names and keyframe 12"),
+        ({"vertices": VERTICES[0]}, r"expected shape \(T, V, 3\)"),
+        ({"vertices": VERTICES * np.nan}, "NaN or infinity"),
+        ({"faces": FACES + 1}, r"vertex indices in 0\.\.3"),
+    ],
+)
+def test_results_that_do_not_fit(tmp_path, changes, message):
+    with pytest.raises(InputError, match=message):
+        save(RunFolder.prepare(tmp_path / "out"), **changes)
+    assert entries(tmp_path) == []
+
+
+def test_metrics(tmp_path, monkeypatch):
+    out = save(RunFolder.prepare(tmp_path / "out"))
+    assert write_metrics(out, {"mean": {"tracking": float("nan")}, "frames": []}) == out / "metrics.json"
+    assert json.loads((out / "metrics.json").read_text()) == {"mean": {"tracking": None}, "frames": []}
+    write_metrics(out, {"mean": 2})
+    monkeypatch.setattr("warpdef.disk.os.replace", full_disk)
+    with pytest.raises(InputError, match=r"metrics\.json: cannot be written \(No space left on device\)"):
+        write_metrics(out, {"mean": 3})
+    assert json.loads((out / "metrics.json").read_text()) == {"mean": 2}
+    assert not [name for name in entries(out) if name.startswith(".")]
+    with pytest.raises(
+        InputError, match="expected the folder of a warpdef run, got one without sequence.npz, config.toml"
+    ):
+        write_metrics(tmp_path, {})
+
+
+def spoil_json(out: Path) -> None:
+    (out / "report.json").write_text("{")
+
+
+def spoil_config(out: Path) -> None:
+    (out / "config.toml").write_text("sede = 1")
+
+
+def spoil_sequence(out: Path) -> None:
+    data = (out / "sequence.npz").read_bytes()
+    (out / "sequence.npz").write_bytes(data[: len(data) // 2])
+
+
+def spoil_keyframe(out: Path) -> None:
+    np.savez(out / "sequence.npz", vertices=VERTICES, faces=FACES, keyframe=99, names=["a"] * 12)
+
+
+def spoil_names(out: Path) -> None:
+    np.savez(out / "sequence.npz", vertices=VERTICES, faces=FACES, keyframe=[1, 2], names=["a"] * 11)
+
+
+def drop_keyframe(out: Path) -> None:
+    np.savez(out / "sequence.npz", vertices=VERTICES, faces=FACES)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (spoil_json, r"report\.json: not valid JSON"),
+        (spoil_config, r"config\.toml: unknown key 'sede'; did you mean 'seed'"),
+        (spoil_sequence, r"sequence\.npz: cannot be read"),
+        (spoil_keyframe, "expected 12 names and a keyframe among them"),
+        (spoil_names, "expected 12 names and a keyframe among them"),
+        (drop_keyframe, "expected an array 'keyframe', got vertices, faces"),
+        (foreign_sequence, "without report.json"),
+        (shutil.rmtree, "got nothing there"),
+    ],
+)
+def test_damaged_runs(tmp_path, spoil, message):
+    out = save(RunFolder.prepare(tmp_path / "out"))
+    spoil(out)
+    with pytest.raises(InputError, match=message):
+        load_run(out)
+
+
+def test_json_is_plain(tmp_path):
+    value = {1: np.arange(2), "path": Path("a"), "inf": [np.float32("inf"), (True, None)], "flag": np.bool_(True)}
+    assert json.loads(json_text(value)) == {"1": [0, 1], "path": "a", "inf": [None, [True, None]], "flag": True}
+    assert "\n" not in json_text(value, None)
+    with pytest.raises(TypeError):
+        json_text({"a": object()})
