@@ -68,6 +68,15 @@ def _kernels(dtype: Any) -> dict[str, wp.Kernel]:
             q[c] = ratio(a[c], b[c])
         return q
 
+    @wp.func
+    def asked(b_sq: dtype) -> dtype:
+        """1 for components with a right-hand side, 0 for the others, whose solution is 0 whatever the start was."""
+        one = dtype()
+        for c in range(len(b_sq)):
+            if b_sq[c] > 0.0:
+                one[c] = 1.0
+        return one
+
     @wp.kernel(module="unique")
     def solve_systems(
         # In:
@@ -105,6 +114,13 @@ def _kernels(dtype: Any) -> dict[str, wp.Kernel]:
             p[i] = residual
             r_sq += wp.cw_mul(residual, residual)
             b_sq += wp.cw_mul(b, b)
+        keep = asked(b_sq)
+        if worst_residual_sq(r_sq - wp.cw_mul(keep, r_sq), b_sq) > 0.0:
+            r_sq = wp.cw_mul(keep, r_sq)
+            for i in range(begin, end):
+                x[i] = wp.cw_mul(keep, x[i])
+                r[i] = wp.cw_mul(keep, r[i])
+                p[i] = r[i]
         done = int(0)
         while done < iterations_max and worst_residual_sq(r_sq, b_sq) > tolerance * tolerance:
             p_ap = dtype()
@@ -154,6 +170,26 @@ def _kernels(dtype: Any) -> dict[str, wp.Kernel]:
         wp.atomic_add(r_sq_out, 0, s, wp.cw_mul(residual, residual))
 
     @wp.kernel(module="unique")
+    def settle(
+        system: wp.array(dtype=wp.int32),
+        first: wp.array(dtype=wp.int32),
+        b_sq: wp.array(dtype=dtype),
+        x: wp.array(dtype=dtype),
+        r: wp.array(dtype=dtype),
+        p: wp.array(dtype=dtype),
+        r_sq: wp.array2d(dtype=dtype),
+    ):
+        """One thread a node: components that nothing is asked of are 0 and done."""
+        i = wp.tid()
+        s = system[i]
+        keep = asked(b_sq[s])
+        x[i] = wp.cw_mul(keep, x[i])
+        r[i] = wp.cw_mul(keep, r[i])
+        p[i] = wp.cw_mul(keep, p[i])
+        if i == first[s]:
+            r_sq[0, s] = wp.cw_mul(keep, r_sq[0, s])
+
+    @wp.kernel(module="unique")
     def multiply(
         step: int,
         tolerance: float,
@@ -180,6 +216,7 @@ def _kernels(dtype: Any) -> dict[str, wp.Kernel]:
         step: int,
         tolerance: float,
         system: wp.array(dtype=wp.int32),
+        first: wp.array(dtype=wp.int32),
         b_sq: wp.array(dtype=dtype),
         p_ap: wp.array2d(dtype=dtype),
         p: wp.array(dtype=dtype),
@@ -191,13 +228,15 @@ def _kernels(dtype: Any) -> dict[str, wp.Kernel]:
         """One thread a node: step along p, new residual and its part of the norm."""
         i = wp.tid()
         s = system[i]
-        residual = r[i]
         if worst_residual_sq(r_sq[step, s], b_sq[s]) > tolerance * tolerance:
             alpha = ratios(r_sq[step, s], p_ap[step, s])
             x[i] = x[i] + wp.cw_mul(alpha, p[i])
-            residual = residual - wp.cw_mul(alpha, ap[i])
+            residual = r[i] - wp.cw_mul(alpha, ap[i])
             r[i] = residual
-        wp.atomic_add(r_sq, step + 1, s, wp.cw_mul(residual, residual))
+            wp.atomic_add(r_sq, step + 1, s, wp.cw_mul(residual, residual))
+        elif i == first[s]:
+            # Copied, not added up anew: another order of the sum must not wake a system that is done.
+            r_sq[step + 1, s] = r_sq[step, s]
 
     @wp.kernel(module="unique")
     def turn(
@@ -266,7 +305,7 @@ def _kernels(dtype: Any) -> dict[str, wp.Kernel]:
             z += beta * y[i]
         z_out[i] = z
 
-    kernels = (solve_systems, start, multiply, update, turn, finish, report, clear, gather, multiply_add)
+    kernels = (solve_systems, start, settle, multiply, update, turn, finish, report, clear, gather, multiply_add)
     for kernel in kernels:
         kernel.module.options.update(MODULE_OPTIONS)
     return {kernel.func.__name__: kernel for kernel in kernels}
@@ -281,9 +320,18 @@ class ConjugateGradients:
     Args:
         graph: the systems. dtype: vec3 or node8. tolerance: relative residual to stop at.
         iterations_max: iterations after which a solve gives up and says so in ``iterations`` and ``residual``.
+        stepwise: one launch a phase over all systems, the way of CUDA; None: where the device is no CPU.
     """
 
-    def __init__(self, graph: Graph, dtype: Any, tolerance: float, iterations_max: int, device: wp.Device) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        dtype: Any,
+        tolerance: float,
+        iterations_max: int,
+        device: wp.Device,
+        stepwise: bool | None = None,
+    ) -> None:
         def ints(a: np.ndarray) -> wp.array:
             return wp.array(a, dtype=wp.int32, device=device)
 
@@ -297,25 +345,28 @@ class ConjugateGradients:
         self._x, self._r, self._p, self._ap = (wp.zeros(nodes, dtype=dtype, device=device) for _ in range(4))
         self.iterations = wp.zeros(systems, dtype=wp.int32, device=device)
         self.residual = wp.zeros(systems, dtype=wp.float32, device=device)
-        steps = 0 if device.is_cpu else self._iterations_max
+        self._stepwise = not device.is_cpu if stepwise is None else stepwise
+        steps = self._iterations_max if self._stepwise else 0
         self._b_sq = wp.zeros(systems, dtype=dtype, device=device)
         self._r_sq = wp.zeros((steps + 1, systems), dtype=dtype, device=device)
         self._p_ap = wp.zeros((steps + 1, systems), dtype=dtype, device=device)
 
     def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None:
-        """Solve systems ``first .. last`` (last excluded); on CUDA all of them.
+        """Solve systems ``first .. last`` (last excluded); stepwise all of them.
 
         Args:
             rhs, solution_out: flat full arrays of the graph's dtype; nodes that are not kept are left alone.
         """
-        if not self._device.is_cpu:
+        if self._stepwise:
             self._solve_stepwise(rhs, solution_out)
             return
         graph = [self._node, self._first, self._row, self._column, self._weight]
         work = [self._x, self._r, self._p, self._ap]
         limits = [self._tolerance, self._iterations_max]
         outputs = [solution_out, self.iterations, self.residual]
-        launch(self._kernels["solve_systems"], last - first, [first, *graph, *limits, rhs, *work, *outputs], self._device)
+        launch(
+            self._kernels["solve_systems"], last - first, [first, *graph, *limits, rhs, *work, *outputs], self._device
+        )
 
     def multiply_add(self, x: wp.array, y: wp.array, z: wp.array, alpha: float, beta: float) -> None:
         """``z = alpha (I + lambda L) x + beta y`` on compact arrays: the contract of warp.optim.linear's operators."""
@@ -340,11 +391,12 @@ class ConjugateGradients:
         matrix = (self._row, self._column, self._weight)
         start = (self._node, self._system, *matrix, rhs, self._x, self._r, self._p, self._b_sq, self._r_sq)
         run("start", nodes, *start)
+        run("settle", nodes, self._system, self._first, self._b_sq, self._x, self._r, self._p, self._r_sq)
         for step in range(self._r_sq.shape[0] - 1):
             norms = (self._b_sq, self._r_sq)
             run("multiply", nodes, step, tolerance, self._system, *matrix, *norms, self._p, self._ap, self._p_ap)
             moved = (self._b_sq, self._p_ap, self._p, self._ap, self._x, self._r, self._r_sq)
-            run("update", nodes, step, tolerance, self._system, *moved)
+            run("update", nodes, step, tolerance, self._system, self._first, *moved)
             run("turn", nodes, step, tolerance, self._system, *norms, self._r, self._p)
         self.scatter(self._x, solution_out)
         last = self._r_sq.shape[0] - 1

@@ -9,7 +9,8 @@ A search starts from a candidate (the last answer, or the first point found in g
 cells that the ball through it touches, shrinking the ball as better points turn up. It also learns how near any other
 target can be. As long as query and targets have moved less than that allows, the next search of that query is one
 comparison: exact, and most of the work once a descent settles. How far the targets of a group have moved in all is
-kept on an odometer, the sum over all builds of the largest move of one of them.
+kept on an odometer, the sum over all builds of the largest move of one of them; in float64, lest small moves vanish
+in a long sum.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ wp.set_module_options(MODULE_OPTIONS)
 
 # Rounding may put a point just outside a ball drawn with exact arithmetic: search a hair wider.
 _WIDEN = wp.constant(1.0001)
-# Error of a float32 distance between points in the cube, and of an odometer reading per unit travelled.
+# Error of a float32 distance between points in the cube, and of a float32 move per unit travelled.
 _ROUNDING = wp.constant(2.0e-6)
 _POINTS_PER_CELL = 6.0
 _RESOLUTION_MAX = 64
@@ -61,7 +62,7 @@ def _sort_group(
     cell: wp.array(dtype=wp.int32),
     # In and out: positions at the last build, and how far they have moved since the first
     last: wp.array(dtype=wp.vec3),
-    odometer: wp.array(dtype=wp.float32),
+    odometer: wp.array(dtype=wp.float64),
     # Out:
     start_out: wp.array2d(dtype=wp.int32),
     order_out: wp.array(dtype=wp.int32),
@@ -82,7 +83,7 @@ def _sort_group(
         c = cell_of(p, resolution)
         cell[i] = c
         start_out[g, c] = start_out[g, c] + 1
-    odometer[g] = odometer[g] + wp.sqrt(farthest)
+    odometer[g] = odometer[g] + wp.float64(wp.sqrt(farthest))
     total = begin
     for c in range(cells + 1):
         total = total + start_out[g, c]
@@ -110,10 +111,10 @@ def _measure_moves(
 
 
 @wp.kernel
-def _turn_odometers(farthest: wp.array(dtype=wp.float32), odometer: wp.array(dtype=wp.float32)):
+def _turn_odometers(farthest: wp.array(dtype=wp.float32), odometer: wp.array(dtype=wp.float64)):
     """One thread a group."""
     g = wp.tid()
-    odometer[g] = odometer[g] + farthest[g]
+    odometer[g] = odometer[g] + wp.float64(farthest[g])
     farthest[g] = 0.0
 
 
@@ -250,12 +251,12 @@ def _nearest(
     start: wp.array2d(dtype=wp.int32),
     order: wp.array(dtype=wp.int32),
     sorted_points: wp.array(dtype=wp.vec3),
-    odometer: wp.array(dtype=wp.float32),
+    odometer: wp.array(dtype=wp.float64),
     margin: float,
     # In and out: what is known from the last search of a query
     anchor: wp.array(dtype=wp.vec3),
     bound: wp.array(dtype=wp.float32),
-    reading: wp.array(dtype=wp.float32),
+    reading: wp.array(dtype=wp.float64),
     # In as the last answer or -1; out:
     index_out: wp.array(dtype=wp.int32),
 ):
@@ -269,8 +270,8 @@ def _nearest(
         known = float(-1.0)
         if best >= 0:
             # Nothing can have come nearer than the bound, less how far the query and any target have moved since.
-            travelled = odometer[group]
-            drift = wp.length(q - anchor[i]) + (travelled - reading[i])
+            travelled = float(odometer[group] - reading[i])
+            drift = wp.length(q - anchor[i]) + travelled
             known = bound[i] - _WIDEN * drift - _ROUNDING * (1.0 + travelled)
         if best < 0:
             slot = first_candidate(q, group, resolution, start)
@@ -306,7 +307,7 @@ class PointGrid:
         self.points = points
         self.offset = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
         self.resolution = cells_per_axis(float(np.max(sizes)))
-        self.odometer = wp.zeros(len(sizes), dtype=wp.float32, device=device)
+        self.odometer = wp.zeros(len(sizes), dtype=wp.float64, device=device)
         self.start = wp.zeros((len(sizes), self.resolution**3 + 1), dtype=wp.int32, device=device)
         self.order = wp.zeros(len(points), dtype=wp.int32, device=device)
         self.sorted = wp.clone(points)
@@ -362,7 +363,8 @@ class NearestSearch:
         self._grid, self._queries, self._group = grid, queries, query_group
         self._margin = _MARGIN_IN_CELLS * 2.0 / grid.resolution
         self._anchor = wp.zeros(count, dtype=wp.vec3, device=device)
-        self._bound, self._reading = (wp.zeros(count, dtype=wp.float32, device=device) for _ in range(2))
+        self._bound = wp.zeros(count, dtype=wp.float32, device=device)
+        self._reading = wp.zeros(count, dtype=wp.float64, device=device)
 
     def run(self, begin: int = 0, count: int | None = None) -> None:
         """Answer queries ``begin .. begin + count`` (None: all) for the grid as last built."""

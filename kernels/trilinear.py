@@ -38,6 +38,7 @@ _REGISTER = """
             make_float4(a.x * s, a.y * s, a.z * s, a.w * s), make_float4(b.x * s, b.y * s, b.z * s, b.w * s)); }
     };
     #define LOAD(q) reg(*(const float4*)(q), *((const float4*)(q) + 1))
+    #define UNPACK(v) reg(make_float4(v[0], v[1], v[2], v[3]), make_float4(v[4], v[5], v[6], v[7]))
     #define STORE(q, r) { (q)[0] = (r).a.x; (q)[1] = (r).a.y; (q)[2] = (r).a.z; (q)[3] = (r).a.w; \\
                           (q)[4] = (r).b.x; (q)[5] = (r).b.y; (q)[6] = (r).b.z; (q)[7] = (r).b.w; }
     #define ADD(q, r) { atomicAdd((q) + 0, (r).a.x); atomicAdd((q) + 1, (r).a.y); atomicAdd((q) + 2, (r).a.z); \\
@@ -46,6 +47,7 @@ _REGISTER = """
 #else
     typedef float reg __attribute__((vector_size(32), aligned(4)));
     #define LOAD(q) (*(const reg*)(q))
+    #define UNPACK(v) LOAD((const float*)&(v))
     #define STORE(q, r) (*(reg*)(q) = (r))
     #define ADD(q, r) (*(reg*)(q) += (r))
     #define ZERO reg{0, 0, 0, 0, 0, 0, 0, 0}
@@ -132,7 +134,7 @@ _SCATTER = (
     + """
     float* base = (float*)adj_nodes.data + (size_t)transition * adj_nodes.shape[1] * 8;
     const float share = 1.0f / (float)level_count;
-    const reg g = LOAD((const float*)&adj_value) * share;
+    const reg g = UNPACK(adj_value) * share;  // a local value need not be aligned as nodes are
     for (int l = 0; l < level_count; ++l) {
 """
     + _CELL

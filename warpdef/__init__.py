@@ -28,7 +28,7 @@ _HOMES = {
     "read_clouds": "warpdef.files",
     "read_mesh": "warpdef.files",
     "read_mesh_sequence": "warpdef.files",
-    "reconstruct": "warpdef.reconstruct",
+    "reconstruct": "warpdef.pipeline",
     "sample_sequence": "warpdef.sample",
     "walking_figure": "warpdef.figure",
 }

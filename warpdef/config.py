@@ -43,8 +43,8 @@ class TemplateConfig:
     """Path of a mesh of your own for the keyframe, vertex order kept; empty: reconstruct one."""
     backend: Literal["auto", "gpytoolbox", "pymeshlab"] = "auto"
     """Library for screened Poisson and remeshing; ``auto`` takes gpytoolbox, else pymeshlab."""
-    depth: int = 10
-    """Octree depth of screened Poisson."""
+    depth: int = 0
+    """Octree depth of screened Poisson; 0: cells as large as the mean point spacing, as finer ones add false handles."""
     screening: float = 10.0
     """Point (screening) weight of screened Poisson."""
     faces_max: int = 20000
@@ -57,18 +57,21 @@ class TemplateConfig:
     """A surface place is far when its nearest point is further than this many mean point spacings."""
     far_share_max: float = 0.05
     """Largest share of far surface that passes the quality gate."""
+    missed_share_max: float = 0.02
+    """Largest share of keyframe points further than that from the template that passes the quality gate."""
     attempts: int = 4
     """Keyframes tried before the best failing template is used with a warning."""
 
     def __post_init__(self) -> None:
         _require(self.backend in ("auto", "gpytoolbox", "pymeshlab"), "template.backend", "auto, gpytoolbox or pymeshlab", self.backend)
-        _require(3 <= self.depth <= 14, "template.depth", "3 to 14", self.depth)
+        _require(self.depth == 0 or 3 <= self.depth <= 14, "template.depth", "0 (by spacing) or 3 to 14", self.depth)
         _require(self.screening >= 0, "template.screening", "a number from 0", self.screening)
         _require(self.faces_max >= 20, "template.faces_max", "at least 20", self.faces_max)
         _require(self.faces_per_point > 0, "template.faces_per_point", "a number above 0", self.faces_per_point)
         _require(self.neighbours >= 4, "template.neighbours", "at least 4", self.neighbours)
         _require(self.far_spacings > 0, "template.far_spacings", "a number above 0", self.far_spacings)
         _require(0 <= self.far_share_max <= 1, "template.far_share_max", "0 to 1", self.far_share_max)
+        _require(0 <= self.missed_share_max <= 1, "template.missed_share_max", "0 to 1", self.missed_share_max)
         _require(self.attempts >= 1, "template.attempts", "at least 1", self.attempts)
 
 

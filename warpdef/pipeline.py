@@ -155,7 +155,11 @@ def _report(
         "duplicates_merged": int(sum(sequence.merged)),
         "keyframe": chosen.keyframe,
         "keyframe_why": chosen.why,
-        "template": chosen.report,
+        "template": {
+            "vertices": optimiser.problem.vertex_count,
+            **chosen.report.as_dict(),
+            "gate": chosen.gate.as_dict(),
+        },
         "iterations": optimiser.done,
         "interrupted": interrupted,
         "losses": steps[-1] if steps else {},

@@ -1,0 +1,114 @@
+"""Kernels that only the bench needs: single device functions on their own, and a measure of the machine's arithmetic."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from warpdef.kernels.cayley import rotate
+from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.levels import node8
+from warpdef.kernels.trilinear import adj_sample, sample
+
+wp.set_module_options(MODULE_OPTIONS)
+
+FLOPS_PER_ROUND = 160
+
+
+@wp.kernel
+def _sample_only(
+    begin: int,
+    nodes: wp.array2d(dtype=node8),
+    levels: wp.array(dtype=wp.int32),
+    level_count: int,
+    points: wp.array(dtype=wp.vec3),
+    transition: wp.array(dtype=wp.int32),
+    value_out: wp.array(dtype=node8),
+):
+    """One thread a point."""
+    i = begin + wp.tid()
+    x = points[i]
+    value_out[i] = sample(nodes, transition[i], levels, level_count, x[0], x[1], x[2])
+
+
+@wp.kernel
+def _adj_sample_only(
+    begin: int,
+    levels: wp.array(dtype=wp.int32),
+    level_count: int,
+    points: wp.array(dtype=wp.vec3),
+    transition: wp.array(dtype=wp.int32),
+    adj_value: wp.array(dtype=node8),
+    adj_nodes_out: wp.array2d(dtype=node8),
+):
+    """One thread a point."""
+    i = begin + wp.tid()
+    x = points[i]
+    adj_sample(adj_nodes_out, transition[i], levels, level_count, x[0], x[1], x[2], adj_value[i])
+
+
+@wp.kernel
+def _rotate_only(
+    begin: int,
+    rotation: wp.array(dtype=wp.vec3),
+    points: wp.array(dtype=wp.vec3),
+    moved_out: wp.array(dtype=wp.vec3),
+):
+    """One thread a point."""
+    i = begin + wp.tid()
+    moved_out[i] = rotate(rotation[i], points[i])
+
+
+_MULTIPLY_ADD = """
+#if defined(__CUDA_ARCH__)
+    float a[8];
+    for (int k = 0; k < 8; ++k) a[k] = x + (float)k;
+    for (int i = 0; i < 10 * rounds; ++i) {
+        #pragma unroll
+        for (int k = 0; k < 8; ++k) a[k] = a[k] * x + y;
+    }
+    float total = 0.0f;
+    for (int k = 0; k < 8; ++k) total += a[k];
+    return total;
+#else
+    typedef float reg __attribute__((vector_size(32)));
+    reg a0 = {x}, a1 = {y}, a2 = {x}, a3 = {y}, a4 = {x}, a5 = {y}, a6 = {x}, a7 = {y}, a8 = {x}, a9 = {y};
+    for (int i = 0; i < rounds; ++i) {
+        a0 = a0 * x + y; a1 = a1 * x + y; a2 = a2 * x + y; a3 = a3 * x + y; a4 = a4 * x + y;
+        a5 = a5 * x + y; a6 = a6 * x + y; a7 = a7 * x + y; a8 = a8 * x + y; a9 = a9 * x + y;
+    }
+    const reg t = a0 + a1 + a2 + a3 + a4 + a5 + a6 + a7 + a8 + a9;
+    return t[0] + t[1] + t[2] + t[3] + t[4] + t[5] + t[6] + t[7];
+#endif
+"""
+
+
+@wp.func_native(_MULTIPLY_ADD)
+def multiply_adds(rounds: int, x: float, y: float) -> float: ...
+
+
+@wp.kernel
+def _multiply_adds(rounds: int, x: float, y: float, out: wp.array(dtype=wp.float32)):
+    """One thread an entry: FLOPS_PER_ROUND operations a round, in registers eight floats wide as all kernels here use."""
+    out[wp.tid()] = multiply_adds(rounds, x, y)
+
+
+def sample_only(begin, count, nodes, levels, points, transition, value_out):
+    """The six-vectors at points; arguments as ``warpdef.kernels.motion.move_points``, value_out (N,) node8."""
+    inputs = [begin, nodes, levels, len(levels) // 2, points, transition, value_out]
+    launch(_sample_only, count, inputs, nodes.device)
+
+
+def adj_sample_only(begin, count, levels, points, transition, adj_value, adj_nodes_out):
+    """Adjoint of ``sample_only``; adds to ``adj_nodes_out``, (S, M) node8."""
+    inputs = [begin, levels, len(levels) // 2, points, transition, adj_value, adj_nodes_out]
+    launch(_adj_sample_only, count, inputs, adj_nodes_out.device)
+
+
+def rotate_only(begin, count, rotation, points, moved_out):
+    """R(z) x of each point; all arrays (N,) vec3."""
+    launch(_rotate_only, count, [begin, rotation, points, moved_out], points.device)
+
+
+def multiply_add_rounds(rounds, out):
+    """``rounds`` of multiply-adds an entry of ``out``, (N,) float32."""
+    launch(_multiply_adds, len(out), [rounds, 0.999, 0.001, out], out.device)

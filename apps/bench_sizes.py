@@ -1,0 +1,72 @@
+"""The sizes that ``warpdef bench`` measures, declared in one place, and the figures it is held to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Size:
+    """One problem.
+
+    frames, points (a frame), vertices, levels: as in the method; vertices within 5 % of the figure's own are taken as
+    they are. iterations: length of the descent that the iteration rows are measured over.
+    """
+
+    name: str
+    frames: int
+    points: int
+    vertices: int
+    levels: int
+    iterations: int
+
+    @property
+    def warmup(self) -> int:
+        """Iterations without the template, an eighth, as in the default configuration."""
+        return self.iterations // 8
+
+
+WORK = Size("work", 17, 5_000, 10_000, 10, 400)
+SIZES = (
+    Size("small", 9, 2_000, 4_000, 8, 200),
+    WORK,
+    Size("large", 17, 20_000, 40_000, 10, 80),
+)
+SIZES_QUICK = (Size("quick", 4, 500, 1_000, 5, 24),)
+
+SWEEPS = {
+    "points": (2_500, 5_000, 10_000, 25_000, 50_000, 100_000),
+    "vertices": (2_500, 5_000, 10_000, 25_000, 50_000, 100_000),
+    "frames": (9, 17, 33, 65, 100),
+    "levels": (2, 4, 6, 8, 10, 12),
+}
+"""One field of ``WORK`` is varied at a time; threads are swept from 1 to all."""
+SWEEPS_QUICK = {"points": (250, 500, 1_000), "vertices": (500, 1_000), "frames": (3, 5), "levels": (3, 5)}
+LARGEST = Size("largest", 100, 100_000, 100_000, 10, 0)
+"""Everything at its upper end at once, measured beside the sweeps."""
+
+EXPONENT_MAX = 1.1
+LINEAR_SWEEPS = ("points", "vertices", "frames")
+"""Sweeps whose time and memory may grow with at most ``EXPONENT_MAX``."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """An upper bound on one figure of the size ``work``."""
+
+    key: str
+    title: str
+    bound: float
+    unit: str
+    device: str  # "cpu" or "cuda"
+
+
+TARGETS = (
+    Target("iteration_over_ckdtree_all", "iteration / cKDTree, all threads", 0.3, "", "cpu"),
+    Target("iteration_over_ckdtree_one", "iteration / cKDTree, one thread", 0.5, "", "cpu"),
+    Target("cold_start_s", "start to first iteration, no kernel cache", 20.0, "s", "cpu"),
+    Target("warm_start_s", "start to first iteration, kernels cached", 3.0, "s", "cpu"),
+    Target("peak_memory_mb", "peak memory", 1000.0, "MB", "cpu"),
+    Target("iteration_ms", "iteration", 1.5, "ms", "cuda"),
+    Target("device_memory_mb", "peak device memory", 500.0, "MB", "cuda"),
+)

@@ -1,0 +1,86 @@
+"""``warpdef evaluate``: a run folder against the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from warpdef.apps.console import ProgressDisplay, clean_stdout, print_json
+from warpdef.apps.exit_codes import EXIT_OK
+from warpdef.apps.metric_tables import print_frames, print_means
+from warpdef.config import parse_slice
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from warpdef.mesh import MeshSequence, TriMesh
+    from warpdef.run_folder import Run
+
+SAMPLES = 100_000
+"""Samples a surface in the paper's protocol."""
+
+
+def evaluate(
+    output: Path,
+    truth: Path,
+    /,
+    *,
+    frames: Annotated[str, Parameter(allow_leading_hyphen=True)] = "",
+    samples: Annotated[int, Parameter(validator=Number(gte=1))] = SAMPLES,
+    seed: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
+    per_frame: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Compare a result with the true mesh sequence.
+
+    Args:
+        output: Folder of a reconstruction; the measures are put into it as metrics.json.
+        truth: An npz with vertices (T, V, 3) and faces, or a folder of meshes.
+        frames: The truth's frames that the result was made from, start:stop:step; empty: all.
+        samples: Samples on each surface.
+        seed: Seed of the samples.
+        per_frame: Show every frame, not only the mean.
+        json: Print metrics.json on standard output, and nothing else there.
+    """
+    from warpdef.files import read_mesh_frames
+    from warpdef.run_folder import load_run
+
+    chosen = parse_slice(frames)
+    run = load_run(output)
+    metrics = evaluate_run(run, read_mesh_frames(truth, chosen), samples=samples, seed=seed)
+    if json:
+        print_json(metrics)
+    else:
+        if per_frame:
+            print_frames(metrics)
+        print_means(metrics, f"{output} against {truth}")
+    return EXIT_OK
+
+
+def evaluate_run(
+    run: Run, truth: MeshSequence | Sequence[TriMesh], *, samples: int = SAMPLES, seed: int = 0
+) -> dict[str, Any]:
+    """Evaluate a run with progress on standard error, and put ``metrics.json`` into its folder.
+
+    Raises:
+        InputError: a truth that does not fit the run; then nothing is written.
+    """
+    from warpdef.metrics import evaluate as evaluate_meshes
+    from warpdef.progress import Progress
+    from warpdef.run_folder import write_metrics
+
+    with clean_stdout(), ProgressDisplay() as display:
+        display.start("evaluate", len(truth), "frames")
+        metrics = evaluate_meshes(
+            run.meshes,
+            truth,
+            samples=samples,
+            seed=seed,
+            keyframe=run.keyframe,
+            progress=lambda done, count: display(Progress("evaluate", done, count)),
+        )
+    write_metrics(run.path, metrics)
+    return metrics

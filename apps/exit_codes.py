@@ -1,0 +1,7 @@
+"""What the ``warpdef`` process tells its caller."""
+
+EXIT_OK = 0
+EXIT_ERROR = 2
+"""Bad input or usage; a sentence on standard error says which."""
+EXIT_INTERRUPTED = 130
+"""Ended by Ctrl-C."""

@@ -1,0 +1,88 @@
+"""The ``warpdef`` command: one line a subcommand, and the one place where errors become messages and exit codes.
+
+Subcommands are named by import path and loaded when called, so that ``warpdef --help`` imports nothing heavy. A new
+one is a file in this folder and a line in ``COMMANDS``.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+import cyclopts
+from cyclopts import App
+
+from warpdef import __version__
+from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_INTERRUPTED, EXIT_OK
+from warpdef.errors import WarpdefError
+
+COMMANDS = {
+    "demo": "Make a walking figure, reconstruct it from sampled points, and compare with the truth.",
+    "reconstruct": "Reconstruct one moving mesh from a sequence of point clouds.",
+    "evaluate": "Compare a result with the true mesh sequence.",
+    "sample": "Sample point clouds from a true mesh sequence.",
+    "export": "Write a result for another program: glb, usd, pc2, mdd, pvd, obj, ply, npz, anime.",
+    "view": "Show a result in a window, or as pictures, a movie or a web page.",
+}
+"""Name and summary; ``name`` is the function ``name`` of ``warpdef.apps.name``."""
+
+TRACEBACK_VARIABLE = "WARPDEF_TRACEBACK"
+
+
+def build_app(called: str = "") -> App:
+    """The program with all its subcommands; ``called`` shows its own, longer help instead of its summary."""
+    app = App(
+        name="warpdef",
+        version=__version__,
+        help="From a sequence of raw point clouds to one mesh that moves.",
+        help_epilogue="Exit codes: 0 done, 2 bad input or usage, 130 interrupted. "
+        f"{TRACEBACK_VARIABLE}=1 shows tracebacks.",
+        suppress_keyboard_interrupt=False,
+    )
+    for position, (name, summary) in enumerate(COMMANDS.items()):
+        app.command(
+            f"warpdef.apps.{name}:{name}", name=name, help=None if name == called else summary, sort_key=position
+        )
+    return app
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run the program on ``arguments`` (the process's own if None) and return its exit code.
+
+    Every ``WarpdefError``, usage error and failing file access becomes one sentence on standard error and code 2;
+    anything else is a defect of ours and keeps its traceback.
+    """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    tracebacks = os.environ.get(TRACEBACK_VARIABLE, "") not in ("", "0")
+    try:
+        app = build_app(arguments[0] if arguments else "")
+        code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+    except (WarpdefError, cyclopts.CycloptsError, OSError) as error:
+        if tracebacks:
+            raise
+        _say(f"error: {_one_line(error)}")
+        return EXIT_ERROR
+    except KeyboardInterrupt:
+        if tracebacks:
+            raise
+        _say("interrupted: nothing was written")
+        return EXIT_INTERRUPTED
+    return code if isinstance(code, int) else EXIT_OK
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())
+
+
+def _say(text: str) -> None:
+    print(f"warpdef: {text}", file=sys.stderr)
+
+
+def main() -> None:
+    """Entry point of the ``warpdef`` console script."""
+    sys.exit(run())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""Measures of an evaluation as tables on standard output."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rich.table import Table
+
+from warpdef.apps.console import print_table
+
+
+@dataclass(frozen=True)
+class Measure:
+    """How one measure is shown: ``value * factor`` with ``digits`` decimals."""
+
+    key: str
+    title: str
+    short: str
+    factor: float
+    digits: int
+    better: str
+
+    def show(self, value: float | None) -> str:
+        """The value as text; a dash where there is none."""
+        return "-" if value is None else f"{value * self.factor:.{self.digits}f}"
+
+
+MEASURES = (
+    Measure("chamfer_l2", "Chamfer distance, 1e-5", "CD", 1e5, 3, "lower"),
+    Measure("chamfer_floor", "  of the truth against itself", "floor", 1e5, 3, ""),
+    Measure("normal_consistency", "normal consistency", "NC", 1.0, 4, "higher"),
+    Measure("f_score_0.5", "F-score at 0.5 %", "F-0.5%", 1.0, 4, "higher"),
+    Measure("f_score_1", "F-score at 1 %", "F-1%", 1.0, 4, "higher"),
+    Measure("point_to_surface", "point to surface, 1e-3", "P2S", 1e3, 3, "lower"),
+    Measure("edge_distortion", "edge-length distortion", "edges", 1.0, 4, "lower"),
+    Measure("tracking", "tracking", "track", 1.0, 4, "lower"),
+)
+
+
+def print_means(metrics: Mapping[str, Any], title: str) -> None:
+    """One line a measure, mean over the frames."""
+    table = Table(title=title, title_justify="left")
+    table.add_column("measure")
+    table.add_column(f"mean of {len(metrics['frames'])} frames", justify="right")
+    table.add_column("better is")
+    for measure in MEASURES:
+        table.add_row(measure.title, measure.show(metrics["mean"][measure.key]), measure.better)
+    print_table(table)
+
+
+def print_frames(metrics: Mapping[str, Any]) -> None:
+    """One line a frame."""
+    table = Table()
+    table.add_column("frame", justify="right")
+    for measure in MEASURES:
+        table.add_column(measure.short, justify="right")
+    for values in metrics["frames"]:
+        table.add_row(str(values["frame"]), *(measure.show(values[measure.key]) for measure in MEASURES))
+    print_table(table)

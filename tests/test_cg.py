@@ -1,0 +1,221 @@
+"""Conjugate gradients against a sparse direct solve; residuals are recomputed, not trusted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import synthetic
+import warp as wp
+from scipy.sparse import csr_matrix, identity
+from scipy.sparse.linalg import spsolve
+
+from warpdef.kernels.cg import ConjugateGradients
+from warpdef.kernels.graphs import Graph, grid_graph, mesh_graph
+from warpdef.kernels.levels import LevelTable, node8
+from warpdef.mesh import unique_edges
+
+WIDTH = {wp.vec3: 3, node8: 8}
+
+
+@pytest.fixture(params=[False, True], ids=["whole", "stepwise"])
+def stepwise(request: pytest.FixtureRequest, device: str) -> bool:
+    """The CPU can run both ways; CUDA has the stepwise one."""
+    if device != "cpu" and not request.param:
+        pytest.skip("CUDA solves step by step")
+    return request.param
+
+
+def matrix_of(graph: Graph) -> csr_matrix:
+    """I + lambda (D - A), float64."""
+    count, degree = len(graph.node), np.diff(graph.row)
+    adjacency = csr_matrix((np.ones(len(graph.column)), graph.column, graph.row), shape=(count, count))
+    weight = graph.weight[graph.system].astype(np.float64)
+    laplacian = csr_matrix((degree, (range(count), range(count))), shape=(count, count)) - adjacency
+    return identity(count, format="csr") + laplacian.multiply(weight[:, None]).tocsr()
+
+
+class Solve:
+    """One solver and its arrays."""
+
+    def __init__(self, graph: Graph, dtype, size: int, device: str, stepwise: bool, tolerance=1e-6, iterations=200):
+        self.graph, self.dtype, self.size, self.device = graph, dtype, size, wp.get_device(device)
+        self.solver = ConjugateGradients(graph, dtype, tolerance, iterations, self.device, stepwise)
+
+    def __call__(self, rhs: np.ndarray, first: int = 0, last: int | None = None) -> np.ndarray:
+        """Solution in the full array, (size, width); nodes that are not kept hold 7."""
+        flat = wp.array(rhs.astype(np.float32), dtype=self.dtype, device=self.device)
+        solution = wp.full(self.size, self.dtype(*[7.0] * WIDTH[self.dtype]), dtype=self.dtype, device=self.device)
+        self.solver.solve(flat, solution, first, len(self.graph.weight) if last is None else last)
+        return solution.numpy()
+
+    def residuals(self, rhs: np.ndarray, solution: np.ndarray) -> np.ndarray:
+        """|b - A x| / |b| of every system and component, float64; 0 / 0 is 0."""
+        b, x = (a[self.graph.node].astype(np.float64) for a in (rhs.astype(np.float32), solution))
+        r = b - matrix_of(self.graph) @ x
+        first = self.graph.first
+        norms = [[np.linalg.norm(a[i:j], axis=0) for i, j in zip(first, first[1:])] for a in (r, b)]
+        return np.divide(norms[0], norms[1], out=np.array(norms[0]), where=np.array(norms[1]) > 0)
+
+
+def assert_solved(solve: Solve, rhs: np.ndarray, solution: np.ndarray, tolerance: float = 1e-6) -> None:
+    """The residual is what it should be, the report says so, and the solution is the direct solver's."""
+    # The recurrence may drift from the true residual by float32 rounding.
+    assert solve.residuals(rhs, solution).max() <= tolerance + 2e-6
+    assert solve.solver.residual.numpy().max() <= tolerance
+    expected = spsolve(matrix_of(solve.graph).tocsc(), rhs.astype(np.float32)[solve.graph.node].astype(np.float64))
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(solution[solve.graph.node], expected, rtol=0, atol=2e-5 * scale)
+
+
+@pytest.fixture(params=["full", "pruned", "scattered"])
+def grid(request: pytest.FixtureRequest, rng: np.random.Generator) -> tuple[Graph, int]:
+    """Two transitions of four levels: all nodes, most, or so few that many stand alone and a system is empty."""
+    levels, lambdas = LevelTable.build(1, 4), 0.25 * 1.5 ** np.arange(4) * 4
+    kept = rng.random((2, levels.node_count)) < {"full": 1.1, "pruned": 0.7, "scattered": 0.1}[request.param]
+    graph = grid_graph(levels, kept, lambdas)
+    if request.param == "scattered":
+        assert (np.diff(graph.row) == 0).any() and (np.diff(graph.first) == 0).any()
+    return graph, kept.size
+
+
+def test_grids(grid, device: str, stepwise: bool, rng: np.random.Generator) -> None:
+    graph, size = grid
+    solve, rhs = Solve(graph, node8, size, device, stepwise), rng.normal(size=(size, 8))
+    solution = solve(rhs)
+    assert_solved(solve, rhs, solution)
+    others = np.setdiff1d(np.arange(size), graph.node)
+    np.testing.assert_array_equal(solution[others], 7)
+
+
+def test_a_mesh(device: str, stepwise: bool, rng: np.random.Generator) -> None:
+    vertices, faces = synthetic.icosphere(2)
+    graph = mesh_graph(unique_edges(faces), len(vertices), 16.0)
+    solve, rhs = Solve(graph, wp.vec3, len(vertices), device, stepwise), rng.normal(size=vertices.shape)
+    assert_solved(solve, rhs, solve(rhs))
+
+
+@pytest.fixture
+def sphere() -> tuple[Graph, int]:
+    vertices, faces = synthetic.icosphere(2)
+    return mesh_graph(unique_edges(faces), len(vertices), 16.0), len(vertices)
+
+
+def test_the_start_is_the_last_solution(sphere, device: str, stepwise: bool, rng: np.random.Generator) -> None:
+    solve, rhs = Solve(*_for(sphere), device, stepwise, tolerance=1e-4), rng.normal(size=(sphere[1], 3))
+    solve(rhs)
+    cold = int(solve.solver.iterations.numpy()[0])
+    again = solve(rhs)
+    assert solve.residuals(rhs, again).max() <= 1.1e-4
+    assert solve.solver.iterations.numpy()[0] <= 1
+    near = rhs + 1e-3 * rng.normal(size=rhs.shape)
+    solution = solve(near)
+    assert solve.residuals(near, solution).max() <= 1.1e-4
+    assert 0 < solve.solver.iterations.numpy()[0] < cold
+
+
+def _for(graph_and_size: tuple[Graph, int], dtype=wp.vec3) -> tuple:
+    return graph_and_size[0], dtype, graph_and_size[1]
+
+
+def test_each_component_is_solved_to_its_own_scale(sphere, device: str, stepwise: bool, rng: np.random.Generator) -> None:
+    """A small rotation beside a large translation; and a component that is zero stays exactly zero."""
+    solve = Solve(*_for(sphere), device, stepwise, tolerance=1e-5)
+    rhs = rng.normal(size=(sphere[1], 3)) * [1e-6, 1e3, 0]
+    solution = solve(rhs)
+    assert (solve.residuals(rhs, solution) <= 1.2e-5).all()
+    np.testing.assert_array_equal(solution[:, 2], 0)
+    assert solve.solver.residual.numpy()[0] <= 1e-5
+
+
+def test_a_zero_right_hand_side_is_zero_at_once(sphere, device: str, stepwise: bool) -> None:
+    solve = Solve(*_for(sphere), device, stepwise)
+    np.testing.assert_array_equal(solve(np.zeros((sphere[1], 3))), 0)
+    assert solve.solver.iterations.numpy()[0] == 0 and solve.solver.residual.numpy()[0] == 0
+
+
+def test_a_right_hand_side_that_turns_zero(sphere, device: str, stepwise: bool, rng: np.random.Generator) -> None:
+    """The last solution is a bad start then, and no residual is small against nothing."""
+    solve = Solve(*_for(sphere), device, stepwise, tolerance=1e-5)
+    rhs = rng.normal(size=(sphere[1], 3))
+    solve(rhs)
+    rhs[:, 1] = 0
+    solution = solve(rhs)
+    np.testing.assert_array_equal(solution[:, 1], 0)
+    assert (solve.residuals(rhs, solution) <= 1.2e-5).all()
+    np.testing.assert_array_equal(solve(0 * rhs), 0)
+    assert solve.solver.residual.numpy()[0] == 0
+
+
+def test_giving_up_is_said(sphere, device: str, stepwise: bool, rng: np.random.Generator) -> None:
+    solve = Solve(*_for(sphere), device, stepwise, tolerance=1e-6, iterations=3)
+    rhs = rng.normal(size=(sphere[1], 3))
+    solution = solve(rhs)
+    assert solve.solver.iterations.numpy()[0] == 3
+    told = float(solve.solver.residual.numpy()[0])
+    assert told > 1e-6
+    assert told == pytest.approx(solve.residuals(rhs, solution).max(), rel=1e-3)
+
+
+def test_systems_stop_apart(device: str, stepwise: bool, rng: np.random.Generator) -> None:
+    """A level of one node is done at once and then stands still while the finest goes on."""
+    levels = LevelTable.build(1, 5)
+    graph = grid_graph(levels, np.ones((1, levels.node_count), bool), 0.25 * 1.5 ** np.arange(5))
+    solve, rhs = Solve(graph, node8, levels.node_count, device, stepwise), rng.normal(size=(levels.node_count, 8))
+    assert_solved(solve, rhs, solve(rhs))
+    done = solve.solver.iterations.numpy()
+    assert done[0] <= 1 and done[1] < done[4]
+
+
+def test_a_span_of_systems_leaves_the_others_alone(rng: np.random.Generator) -> None:
+    levels = LevelTable.build(1, 3)
+    graph = grid_graph(levels, np.ones((3, levels.node_count), bool), np.ones(3))
+    size = 3 * levels.node_count
+    solve, rhs = Solve(graph, node8, size, "cpu", False), rng.normal(size=(size, 8))
+    middle = solve(rhs, 3, 6)
+    span = slice(levels.node_count, 2 * levels.node_count)
+    assert (middle[: span.start] == 7).all() and (middle[span.stop :] == 7).all()
+    np.testing.assert_array_equal(middle[span], Solve(graph, node8, size, "cpu", False)(rhs)[span])
+
+
+def test_no_smoothing_is_the_identity(sphere, device: str, stepwise: bool, rng: np.random.Generator) -> None:
+    graph, size = sphere
+    plain = Graph(graph.node, graph.system, graph.first, graph.row, graph.column, np.zeros(1, np.float32))
+    rhs = rng.normal(size=(size, 3)).astype(np.float32)
+    np.testing.assert_allclose(Solve(plain, wp.vec3, size, device, stepwise)(rhs), rhs, rtol=1e-6)
+
+
+def test_both_ways_agree(grid, rng: np.random.Generator) -> None:
+    graph, size = grid
+    rhs = rng.normal(size=(size, 8))
+    whole, steps = (Solve(graph, node8, size, "cpu", way, tolerance=1e-4) for way in (False, True))
+    np.testing.assert_allclose(whole(rhs), steps(rhs), rtol=0, atol=1e-5)
+    np.testing.assert_array_equal(whole.solver.iterations.numpy(), steps.solver.iterations.numpy())
+    np.testing.assert_allclose(whole.solver.residual.numpy(), steps.solver.residual.numpy(), rtol=1e-3, atol=1e-9)
+
+
+def test_the_operator_and_its_transpose(grid, device: str, rng: np.random.Generator) -> None:
+    """z = alpha A x + beta y, also in place; and A is its own adjoint."""
+    graph, size = grid
+    solver, count = Solve(graph, node8, size, device, True).solver, len(graph.node)
+    x, y = rng.normal(size=(2, count, 8))
+    dx, dy = (wp.array(a.astype(np.float32), dtype=node8, device=device) for a in (x, y))
+    z = wp.full(count, node8(*[np.nan] * 8), dtype=node8, device=device)
+    matrix = matrix_of(graph)
+    solver.multiply_add(dx, z, z, 1.0, 0.0)  # beta = 0 must not read y
+    np.testing.assert_allclose(z.numpy(), matrix @ x, rtol=0, atol=1e-5)
+    assert (z.numpy() * y).sum() == pytest.approx(((matrix @ y) * x).sum(), rel=1e-4, abs=1e-2)
+    solver.multiply_add(dx, dy, dy, -0.5, 2.0)
+    np.testing.assert_allclose(dy.numpy(), 2 * y - 0.5 * (matrix @ x), rtol=0, atol=1e-5)
+
+
+def test_gather_and_scatter(grid, device: str, rng: np.random.Generator) -> None:
+    graph, size = grid
+    solver = Solve(graph, node8, size, device, True).solver
+    full = wp.array(rng.normal(size=(size, 8)).astype(np.float32), dtype=node8, device=device)
+    compact, back = wp.zeros(len(graph.node), dtype=node8, device=device), wp.zeros(size, dtype=node8, device=device)
+    solver.gather(full, compact)
+    np.testing.assert_array_equal(compact.numpy(), full.numpy()[graph.node])
+    solver.scatter(compact, back)
+    expected = np.zeros((size, 8), np.float32)
+    expected[graph.node] = full.numpy()[graph.node]
+    np.testing.assert_array_equal(back.numpy(), expected)

@@ -1,0 +1,97 @@
+"""Change of edge lengths between frames, and its gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import reference
+import synthetic
+import warp as wp
+import witness
+from gradients import assert_gradients_close, finite_differences
+
+from warpdef.kernels.isometry import isometry
+from warpdef.mesh import unique_edges
+
+
+def run(vertices: np.ndarray, edges: np.ndarray, device: str, share: float = 1.0, weight: float = 1.0, split: int = 7):
+    """Losses (T,) and gradient (T, V, 3), in two spans."""
+    frames, count = vertices.shape[:2]
+    moving = wp.array(vertices.astype(np.float32), dtype=wp.vec3, ndim=2, device=device)
+    pairs = wp.array(edges.astype(np.int32), dtype=wp.int32, ndim=2, device=device)
+    loss = wp.zeros(frames, dtype=wp.float64, device=device)
+    adj = wp.zeros((frames, count), dtype=wp.vec3, device=device)
+    total = frames * len(edges)
+    for begin, size in ((0, split), (split, total - split)):
+        isometry(begin, size, moving, pairs, share, weight, loss, adj)
+    return loss.numpy(), adj.numpy()
+
+
+def stretched(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Four frames of a small sphere, every edge of another length in every frame."""
+    sphere, faces = synthetic.icosphere(0)
+    vertices = sphere[None] + rng.normal(size=(4, *sphere.shape)) * 0.2
+    return vertices.astype(np.float32).astype(np.float64), unique_edges(faces)
+
+
+def test_loss_and_gradient_match_the_twin(device: str, rng: np.random.Generator) -> None:
+    vertices, edges = stretched(rng)
+    loss, adj = run(vertices, edges, device, share=0.01, weight=250.0)
+    np.testing.assert_allclose(loss[:-1], 0.01 * reference.isometry(vertices, edges), rtol=1e-5)
+    assert loss[-1] == 0
+    assert_gradients_close(adj, 2.5 * reference.adj_isometry(vertices, edges))
+
+
+def test_gradient_matches_finite_differences(device: str, rng: np.random.Generator) -> None:
+    vertices, edges = stretched(rng)
+    expected = finite_differences(lambda v: float(reference.isometry(v, edges).sum()), vertices)
+    assert_gradients_close(run(vertices, edges, device)[1], expected)
+
+
+def test_gradient_matches_finite_differences_of_the_kernel(device: str, rng: np.random.Generator) -> None:
+    vertices, edges = stretched(rng)
+    _, adj = run(vertices, edges, device)
+    step, directions = 1e-3, rng.normal(size=(20, *vertices.shape)) * 0.3
+    found = [
+        (run(vertices + step * d, edges, device)[0].sum() - run(vertices - step * d, edges, device)[0].sum()) / (2 * step)
+        for d in directions
+    ]
+    expected = np.einsum("dtvc,tvc->d", directions, adj)
+    assert_gradients_close(np.array(found), expected, elementwise=0.02, direction=1e-3, relative=0.02)
+
+
+def test_gradient_matches_autodiff(device: str, rng: np.random.Generator) -> None:
+    vertices, edges = stretched(rng)
+    moving = wp.array(vertices.astype(np.float32), dtype=wp.vec3, ndim=2, device=device, requires_grad=True)
+    pairs = wp.array(edges.astype(np.int32), dtype=wp.int32, ndim=2, device=device)
+    loss = wp.zeros(1, dtype=wp.float32, device=device, requires_grad=True)
+    with wp.Tape() as tape:
+        wp.launch(witness.edge_changes, (3, len(edges)), inputs=[moving, pairs, 1.0, loss], device=device)
+    tape.backward(loss)
+    assert_gradients_close(run(vertices, edges, device)[1], moving.grad.numpy())
+
+
+def test_a_rigid_motion_costs_next_to_nothing(device: str, rng: np.random.Generator) -> None:
+    moving = synthetic.turning_ellipsoid(3, 10, rng, subdivisions=1)
+    loss, _ = run(moving.vertices, unique_edges(moving.faces), device)
+    assert loss.max() < 1e-5
+
+
+def test_equal_lengths_and_edges_of_no_length_have_no_gradient(device: str) -> None:
+    still = np.tile(np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0]]), (3, 1, 1))
+    edges = np.array([[0, 1], [1, 2]])
+    loss, adj = run(still, edges, device, split=2)
+    np.testing.assert_array_equal(loss, 0)
+    np.testing.assert_array_equal(adj, 0)
+    # The edge of no length in frame 1 opens in frame 2: the loss counts, and only the frame with a direction pulls.
+    still[2, 2] = [1, 0.5, 0]
+    loss, adj = run(still, edges, device, split=2)
+    np.testing.assert_allclose(loss, [0, 0.5, 0])
+    np.testing.assert_array_equal(adj[:2], 0)
+    np.testing.assert_allclose(adj[2], [[0, 0, 0], [0, -1, 0], [0, 1, 0]])
+
+
+def test_one_edge_two_frames(device: str) -> None:
+    vertices = np.array([[[0.0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 3, 0]]])
+    loss, adj = run(vertices, np.array([[0, 1]]), device, split=1)
+    np.testing.assert_allclose(loss, [2, 0])
+    np.testing.assert_allclose(adj, [[[1, 0, 0], [-1, 0, 0]], [[0, -1, 0], [0, 1, 0]]])

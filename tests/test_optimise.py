@@ -1,0 +1,166 @@
+"""The descent: same bits for any number of threads, every ablation, and motion that is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import reference
+import synthetic
+import warp as wp
+
+from warpdef.config import Config
+from warpdef.optimise import Optimiser
+from warpdef.problem import Problem
+from warpdef.workers import Team
+
+
+def configured(**groups: dict) -> Config:
+    """The default configuration with small grids, and these fields of these groups."""
+    config = replace(Config(), grid=replace(Config().grid, levels=4))
+    return replace(config, **{name: replace(getattr(config, name), **values) for name, values in groups.items()})
+
+
+class Run:
+    """A descent on a synthetic sequence; ``losses`` after every iteration, Chamfer terms unweighted."""
+
+    def __init__(
+        self, moving: synthetic.Synthetic, config: Config, device: str, iterations: int, keyframe: int = 1, threads: int = 1
+    ) -> None:
+        template, normals = moving.vertices[keyframe], moving.normals
+        problem = Problem(moving.clouds, normals, template, moving.faces, keyframe, config, wp.get_device(device))
+        team = Team(threads)
+        try:
+            self.optimiser = Optimiser(problem, iterations, team)
+            self.losses, self.chamfer = [], []
+            for _ in range(iterations):
+                self.optimiser.step()
+                self.losses.append(self.optimiser.look())
+                objective = self.optimiser.objective
+                self.chamfer.append(float(objective.loss_input.numpy().sum() + objective.loss_transform.numpy().sum()))
+            self.vertices = self.optimiser.vertices()
+        finally:
+            team.close()
+
+
+@pytest.fixture
+def ellipsoid(rng: np.random.Generator) -> synthetic.Synthetic:
+    return synthetic.turning_ellipsoid(4, 150, rng, subdivisions=1)
+
+
+def test_any_number_of_threads_gives_the_same_bits(ellipsoid, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("warpdef.objective._VERTICES_PER_TASK", 10)  # several tasks for a small template
+    config = configured(optimiser={"warmup": 4})
+    runs = [Run(ellipsoid, config, "cpu", 12, threads=n) for n in (1, 2, 3)]
+    for run in runs[1:]:
+        np.testing.assert_array_equal(run.vertices, runs[0].vertices)
+        assert run.losses == runs[0].losses
+    assert np.abs(runs[0].vertices[3] - ellipsoid.vertices[1]).max() > 0.01
+
+
+def test_spans_of_vertices_and_single_tasks_agree(ellipsoid, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = configured(optimiser={"warmup": 2})
+    whole = Run(ellipsoid, config, "cpu", 6)
+    monkeypatch.setattr("warpdef.objective._VERTICES_PER_TASK", 7)
+    np.testing.assert_array_equal(Run(ellipsoid, config, "cpu", 6).vertices, whole.vertices)
+
+
+VARIANTS = {
+    "default": {},
+    "single resolution": {"grid": {"coarsest": 4}},
+    "no preconditioning": {"sobolev": {"enabled": False}},
+    "no isometry": {"loss": {"isometry_weight": 0.0}},
+    "one level": {"grid": {"levels": 1}},
+    "twelve levels": {"grid": {"levels": 12}},
+    "pruned": {"grid": {"prune": True, "prune_cells": 1, "levels": 6}},
+    "conjugate gradients on full grids": {"sobolev": {"solver": "cg"}},
+    "means": {"loss": {"reduction": "mean", "isometry_weight": 1.0}},
+    "fourth power": {"loss": {"robust_power": 4}},
+    "plain distances": {"loss": {"tangential": 1.0}},
+    "template follows all": {"loss": {"template_follows_all": True}},
+    "no confidence, constant rate": {"loss": {"confidence": False}, "optimiser": {"decay": "constant"}},
+}
+
+
+@pytest.mark.parametrize("groups", VARIANTS.values(), ids=VARIANTS)
+def test_every_variant_descends(groups: dict, ellipsoid, device: str) -> None:
+    groups = {**groups, "optimiser": {"warmup": 0, **groups.get("optimiser", {})}}
+    run = Run(ellipsoid, configured(**groups), device, 20)
+    assert np.isfinite(run.vertices).all()
+    assert run.chamfer[-1] < 0.8 * run.chamfer[0]
+    assert all(np.isfinite(list(told.values())).all() for told in run.losses)
+    assert run.optimiser.solves.stalled == 0
+
+
+@pytest.mark.parametrize("keyframe", [0, 3])
+def test_a_keyframe_at_an_end(keyframe: int, ellipsoid, device: str) -> None:
+    run = Run(ellipsoid, configured(optimiser={"warmup": 0}), device, 20, keyframe)
+    assert run.chamfer[-1] < 0.8 * run.chamfer[0]
+
+
+@pytest.mark.parametrize("kind", [synthetic.turning_ellipsoid, synthetic.bending_bar])
+def test_known_motion_is_recovered(kind, device: str, rng: np.random.Generator) -> None:
+    moving = kind(5, 400, rng, subdivisions=2)
+    run = Run(moving, configured(optimiser={"warmup": 10}), device, 120, keyframe=2)
+    motion = np.linalg.norm(moving.vertices - moving.vertices[2], axis=2).mean(axis=1)
+    error = np.linalg.norm(run.vertices - moving.vertices, axis=2).mean(axis=1)
+    away = [0, 1, 3, 4]
+    assert (error[away] < 0.25 * motion[away]).all(), f"errors {error}, motions {motion}"
+    assert error[2] < 0.005
+
+
+def test_before_the_first_step_every_frame_is_the_template(ellipsoid, device: str) -> None:
+    run = Run(ellipsoid, configured(), device, 0)
+    expected = np.tile(ellipsoid.vertices[1].astype(np.float32), (4, 1, 1))
+    np.testing.assert_array_equal(run.vertices, expected)
+
+
+def test_a_template_that_does_not_descend_stays(ellipsoid, device: str) -> None:
+    """What Adam moves is (I + lambda L) x: left alone, it must solve back to the template."""
+    config = configured(optimiser={"template_rate": 0.0, "warmup": 2})
+    run = Run(ellipsoid, config, device, 6)
+    np.testing.assert_allclose(run.vertices[1], ellipsoid.vertices[1], rtol=0, atol=2e-6)
+
+
+def test_during_warm_up_the_template_descends_and_isometry_waits(ellipsoid, device: str) -> None:
+    run = Run(ellipsoid, configured(optimiser={"warmup": 3}), device, 5)
+    assert [told["isometry"] > 0 for told in run.losses] == [False, False, False, True, True]
+    assert [told["transform"] > 0 for told in run.losses] == [False, False, False, True, True]
+    assert run.losses[2]["mesh"] != run.losses[0]["mesh"]
+
+
+def test_preparing_changes_nothing(ellipsoid, device: str) -> None:
+    config = configured()
+    problem = Problem(ellipsoid.clouds, ellipsoid.normals, ellipsoid.vertices[1], ellipsoid.faces, 1, config, wp.get_device(device))
+    prepared = Optimiser(problem, 5, Team(1))
+    prepared.prepare()
+    assert prepared.done == 0
+    np.testing.assert_array_equal(prepared.vertices(), np.tile(ellipsoid.vertices[1].astype(np.float32), (4, 1, 1)))
+    for _ in range(5):
+        prepared.step()
+    np.testing.assert_allclose(prepared.vertices(), Run(ellipsoid, config, device, 5).vertices, rtol=0, atol=1e-5)
+
+
+def test_warps_own_solver_takes_the_same_way(device: str, rng: np.random.Generator) -> None:
+    moving = synthetic.turning_ellipsoid(3, 80, rng, subdivisions=1)
+    vertices = []
+    for solver in ("cg", "warp"):
+        config = configured(
+            grid={"levels": 3}, sobolev={"solver": solver, "tolerance": 1e-6}, optimiser={"warmup": 2}
+        )
+        vertices.append(Run(moving, config, device, 6).vertices)
+    assert np.abs(vertices[0][2] - moving.vertices[1]).max() > 0.01
+    np.testing.assert_allclose(vertices[1], vertices[0], rtol=0, atol=1e-4)
+
+
+def test_the_first_step_is_adam_on_the_preconditioned_gradient(ellipsoid, device: str) -> None:
+    """u moves by the rate against the sign of (I + lambda L)^-1 g, and x is (I + lambda L)^-1 u."""
+    config = configured(grid={"levels": 2}, optimiser={"warmup": 0, "decay": "constant"})
+    run = Run(ellipsoid, config, device, 1)
+    found = run.optimiser.nodes.numpy()[..., :6].astype(np.float64)
+    rates, lambdas = [5e-3, 5e-3 * 1.1], [0.25, 0.375]
+    for n, begin, rate, weight in zip([1, 3], [0, 1], rates, lambdas, strict=True):
+        matrix = reference.smoother(reference.grid_edges(n), n**3, weight)
+        u = np.einsum("ij,sjc->sic", matrix, found[:, begin : begin + n**3])
+        np.testing.assert_allclose(np.abs(u), rate, rtol=1e-3)
