@@ -18,22 +18,34 @@ from warpdef.optimise import Optimiser
 from warpdef.problem import Problem
 from warpdef.workers import Iteration, Phase, Task, Team
 
+Answer = np.ndarray | tuple[np.ndarray, ...]
 _SNAPSHOTS = 12
 _VERTICES_PER_TASK = 1024
 
 
 @dataclass(frozen=True)
 class Peer:
-    """Somebody else's way to the same answer.
+    """Somebody else's way to the same answer (an array, or a few).
 
     run: (workers) -> the answer, comparable with the case's; workers is 1 or all. parallel: whether workers matter.
     timed: what to time if not ``run``, such as a solve without its factorisation.
     """
 
     name: str
-    run: Callable[[int], np.ndarray]
+    run: Callable[[int], Answer]
     parallel: bool = False
     timed: Callable[[int], object] | None = None
+
+
+def difference(ours: Answer, theirs: Answer) -> float:
+    """Distance of two answers over the length of the second; the worst where they have several parts."""
+    if isinstance(ours, tuple):
+        return max(difference(a, b) for a, b in zip(ours, theirs, strict=True))
+    ours, theirs = np.asarray(ours, dtype=np.float64).ravel(), np.asarray(theirs, dtype=np.float64).ravel()
+    if ours.shape != theirs.shape:
+        return float("inf")
+    apart, length = np.linalg.norm(ours - theirs), np.linalg.norm(theirs)
+    return float(apart / length) if length > 0 else float(apart > 0)
 
 
 @dataclass(frozen=True)
@@ -43,7 +55,7 @@ class Case:
     elements: how many are treated, named by unit. bytes: array bytes that must be read or written once, gathers counted
     as the array gathered from. flops: floating-point operations, by hand, 0 where they depend on the data.
     tasks: what a team shares. before: untimed, ahead of each launch. answer: our result from a fresh start.
-    tolerance: largest difference from a peer's answer, relative to the answer's largest entry.
+    tolerance: largest difference from a peer's answer, relative, in the Euclidean norm.
     """
 
     name: str
@@ -53,7 +65,7 @@ class Case:
     tasks: list[Task]
     flops: int = 0
     before: Callable[[], None] | None = None
-    answer: Callable[[], np.ndarray] | None = None
+    answer: Callable[[], Answer] | None = None
     peers: list[Peer] = field(default_factory=list)
     tolerance: float = 1e-4
 

@@ -34,7 +34,7 @@ def recording() -> Iterator[list[wp.Launch]]:
         _state.commands = outer
 
 
-def launch(kernel: wp.Kernel, dim: int, inputs: Sequence[Any], device: wp.Device) -> None:
+def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any], device: wp.Device) -> None:
     """Run ``kernel`` over ``dim`` threads, or record it inside ``recording()``. An empty span is no launch."""
     if dim == 0:
         return

@@ -119,6 +119,18 @@ def _copy(source: wp.array(dtype=wp.vec3), target_out: wp.array(dtype=wp.vec3)):
 
 
 @wp.kernel
+def _add_scaled(begin: int, scale: float, change: wp.array(dtype=wp.vec3), target_out: wp.array(dtype=wp.vec3)):
+    i = begin + wp.tid()
+    target_out[i] = target_out[i] + scale * change[i]
+
+
+@wp.kernel
+def _blend(share: float, source: wp.array(dtype=wp.vec3), target_out: wp.array(dtype=wp.vec3)):
+    i = wp.tid()
+    target_out[i] = target_out[i] + share * (source[i] - target_out[i])
+
+
+@wp.kernel
 def _clear_nodes(begin: int, array: wp.array(dtype=node8)):
     array[begin + wp.tid()] = node8()
 
@@ -153,6 +165,16 @@ def clear_vectors(begin, count, array):
 def copy_vectors(source, target_out):
     """Copy a vec3 array, recordable like any launch."""
     launch(_copy, len(source), [source, target_out], source.device)
+
+
+def add_scaled(begin, count, scale, change, target_out):
+    """``target += scale change`` for a span of a vec3 array."""
+    launch(_add_scaled, count, [begin, scale, change, target_out], target_out.device)
+
+
+def blend(share, source, target_out):
+    """``target += share (source - target)``; a share above 1 overshoots."""
+    launch(_blend, len(source), [share, source, target_out], target_out.device)
 
 
 def clear_nodes(begin, count, array):

@@ -110,7 +110,8 @@ def move_derivative(nodes: np.ndarray, levels: list[int], points: np.ndarray) ->
     """dy/dx, (N, 3, 3): row i is the derivative of y_i."""
     motion, slope = sample(nodes, levels, points), sample_derivative(nodes, levels, points)
     by_rotation = np.einsum("ncij,nj->nic", rotation_derivative(motion[:, :3]), points)
-    return rotation(motion[:, :3]) + np.einsum("nic,nac->nia", by_rotation, slope[..., :3]) + slope[..., 3:6].transpose(0, 2, 1)
+    through_field = np.einsum("nic,nac->nia", by_rotation, slope[..., :3]) + slope[..., 3:6].transpose(0, 2, 1)
+    return rotation(motion[:, :3]) + through_field
 
 
 def adj_motion(z: np.ndarray, points: np.ndarray, adj: np.ndarray) -> np.ndarray:
@@ -133,7 +134,7 @@ def robust_weight(r: np.ndarray, alpha: float, power: int) -> np.ndarray:
 
 
 def residual_energy(r: np.ndarray, normals: np.ndarray, tangential: float) -> np.ndarray:
-    """Squared length along the normal (unit, or zero where unknown), and ``tangential`` times the square of the rest."""
+    """Squared length along the normal (unit; zero where unknown), and ``tangential`` times the square of the rest."""
     along = (r * normals).sum(axis=-1, keepdims=True) * normals
     return (along**2).sum(axis=-1) + tangential * ((r - along) ** 2).sum(axis=-1)
 
@@ -249,7 +250,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Pairs:
-    """Nearest neighbours of both directions between a moving set and a cloud: (A,) into the cloud, (B,) into the set."""
+    """Nearest neighbours between a moving set and a cloud, both ways: (A,) into the cloud, (B,) into the set."""
 
     forth: np.ndarray
     back: np.ndarray

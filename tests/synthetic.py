@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -25,13 +26,10 @@ def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
     golden = (1 + 5**0.5) / 2
     corners = [(a, b * golden, 0) for a in (-1, 1) for b in (-1, 1)]
     vertices = np.array([np.roll(c, shift) for shift in range(3) for c in corners], dtype=np.float64)
-    edge = 2.0
-    distance = np.linalg.norm(vertices[:, None] - vertices[None], axis=2)
-    close = np.isclose(distance, edge)
-    faces = [
-        (i, j, k) for i in range(12) for j in range(i + 1, 12) for k in range(j + 1, 12) if close[i, j] and close[j, k] and close[i, k]
-    ]  # fmt: skip
-    faces = _outward(vertices, np.array(faces))
+    # Edges of this icosahedron are 2 long; its faces are all triples of neighbours.
+    close = np.isclose(np.linalg.norm(vertices[:, None] - vertices[None], axis=2), 2.0)
+    faces = np.array([t for t in combinations(range(12), 3) if all(close[a, b] for a, b in combinations(t, 2))])
+    faces = _outward(vertices, faces)
     vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
     for _ in range(subdivisions):
         vertices, faces = _subdivide(vertices, faces)
@@ -87,7 +85,7 @@ def turning_ellipsoid(frames: int, points: int, rng: np.random.Generator, subdiv
 
 
 def bending_bar(frames: int, points: int, rng: np.random.Generator, subdivisions: int = 2) -> Synthetic:
-    """A flat rounded bar along x, 1.4 long, 0.2 thick and 0.4 wide, bent in the x-y plane to a circle's arc of growing curvature."""
+    """A flat rounded bar along x, 1.4 x 0.2 x 0.4, bent in the x-y plane to an arc of growing curvature."""
     sphere, faces = icosphere(subdivisions)
     bar = sphere * [0.7, 0.1, 0.2]
     moved = []

@@ -53,8 +53,9 @@ class Solve:
         b, x = (a[self.graph.node].astype(np.float64) for a in (rhs.astype(np.float32), solution))
         r = b - matrix_of(self.graph) @ x
         first = self.graph.first
-        norms = [[np.linalg.norm(a[i:j], axis=0) for i, j in zip(first, first[1:])] for a in (r, b)]
-        return np.divide(norms[0], norms[1], out=np.array(norms[0]), where=np.array(norms[1]) > 0)
+        spans = [slice(i, j) for i, j in zip(first[:-1], first[1:], strict=True)]
+        left, asked = (np.array([np.linalg.norm(a[span], axis=0) for span in spans]) for a in (r, b))
+        return np.divide(left, asked, out=left.copy(), where=asked > 0)
 
 
 def assert_solved(solve: Solve, rhs: np.ndarray, solution: np.ndarray, tolerance: float = 1e-6) -> None:
@@ -117,10 +118,13 @@ def _for(graph_and_size: tuple[Graph, int], dtype=wp.vec3) -> tuple:
     return graph_and_size[0], dtype, graph_and_size[1]
 
 
-def test_each_component_is_solved_to_its_own_scale(sphere, device: str, stepwise: bool, rng: np.random.Generator) -> None:
-    """A small rotation beside a large translation; and a component that is zero stays exactly zero."""
+def test_each_component_has_its_own_scale(sphere, device: str, stepwise: bool, rng: np.random.Generator) -> None:
+    """A small rotation beside a large translation, and a component that is zero stays exactly zero.
+
+    The first is constant, an eigenvector: it is done after one step, which must not stop the others.
+    """
     solve = Solve(*_for(sphere), device, stepwise, tolerance=1e-5)
-    rhs = rng.normal(size=(sphere[1], 3)) * [1e-6, 1e3, 0]
+    rhs = rng.normal(size=(sphere[1], 3)) * [0, 1e3, 0] + [1e-6, 0, 0]
     solution = solve(rhs)
     assert (solve.residuals(rhs, solution) <= 1.2e-5).all()
     np.testing.assert_array_equal(solution[:, 2], 0)

@@ -85,7 +85,7 @@ def test_loss_and_gradient_match_the_twin(power: int, tangential: float, device:
 
 
 @pytest.mark.parametrize(("power", "tangential"), CASES)
-def test_gradient_matches_finite_differences(power: int, tangential: float, device: str, rng: np.random.Generator) -> None:
+def test_gradient_matches_differences(power: int, tangential: float, device: str, rng: np.random.Generator) -> None:
     """The robust weight is a constant to the gradient: frozen in the differences."""
     meeting = Meeting(device, rng)
     robust = meeting.robust(power)

@@ -59,8 +59,9 @@ def test_a_gradient_of_another_length_fails_even_if_its_direction_is_right(expec
 
 def test_finite_differences_of_a_cubic(rng: np.random.Generator) -> None:
     x = rng.normal(size=(3, 2))
-    assert_gradients_close(finite_differences(lambda a: float((a**3).sum()), x), 3 * x**2, elementwise=1e-8, relative=1e-8)
+    tight = {"elementwise": 1e-8, "relative": 1e-8}
+    assert_gradients_close(finite_differences(lambda a: float((a**3).sum()), x), 3 * x**2, **tight)
     some = finite_differences(lambda a: float((a**3).sum()), x, np.array([4, 1]))
-    assert_gradients_close(some, 3 * x.ravel()[[4, 1]] ** 2, elementwise=1e-8, relative=1e-8)
+    assert_gradients_close(some, 3 * x.ravel()[[4, 1]] ** 2, **tight)
     v = rng.normal(size=x.shape)
     assert along(lambda a: float((a**3).sum()), x, v) == pytest.approx(float((3 * x**2 * v).sum()), rel=1e-8)

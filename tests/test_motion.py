@@ -61,9 +61,7 @@ def test_clouds_move_each_by_its_own_transition(arrays: Arrays, rng: np.random.G
     np.testing.assert_allclose(moved.numpy(), expected, rtol=0, atol=3e-6)
 
     adj, adj_nodes = rng.normal(size=(90, 3)), arrays.zeros((3, NODES), node8)
-    adj_move_points(
-        0, 90, arrays.levels, inputs[2], inputs[3], rotation, arrays.vectors(adj), adj_nodes
-    )
+    adj_move_points(0, 90, arrays.levels, inputs[2], inputs[3], rotation, arrays.vectors(adj), adj_nodes)
     expected = np.zeros((3, NODES, 6))
     for s in range(3):
         of = transition == s

@@ -106,7 +106,8 @@ def test_groups_do_not_see_each_other(device: str, rng: np.random.Generator) -> 
         found = find(grid, queries, np.full(len(queries), g))
         assert_nearest(queries, cloud, found - first[g])
     mixed = rng.integers(0, len(sizes), len(queries))
-    expected = np.array([first[g] + reference.nearest(q[None], clouds[g].astype(np.float32))[0] for q, g in zip(queries, mixed)])
+    each = zip(queries, mixed, strict=True)
+    expected = np.array([first[g] + reference.nearest(q[None], clouds[g].astype(np.float32))[0] for q, g in each])
     found = find(grid, queries, mixed)
     near = np.abs(queries).max(axis=1) <= 1.5
     np.testing.assert_array_equal(found[near], expected[near])
@@ -195,14 +196,15 @@ def test_ties_go_to_the_lowest_index(device: str, rng: np.random.Generator) -> N
     targets = np.tile(once, (4, 1))[order]
     grid = PointGrid(upload(targets, device), [200])
     grid.build()
-    lowest = np.array([np.flatnonzero((targets == p).all(axis=1))[0] for p in once])
+    copies = [np.flatnonzero((targets == p).all(axis=1)) for p in once]
+    lowest, highest = (np.array([c[k] for c in copies]) for k in (0, -1))
     near = once + rng.normal(size=once.shape).astype(np.float32) * 1e-3
     for queries in (once, near):
-        expected = lowest[reference.nearest(queries, once)]
+        nearest = reference.nearest(queries, once)
+        expected = lowest[nearest]
         np.testing.assert_array_equal(find(grid, queries, np.zeros(50)), expected)
         # Also from the highest of the equals.
-        highest = np.array([np.flatnonzero((targets == once[k]).all(axis=1))[-1] for k in reference.nearest(queries, once)])
-        np.testing.assert_array_equal(find(grid, queries, np.zeros(50), highest), expected)
+        np.testing.assert_array_equal(find(grid, queries, np.zeros(50), highest[nearest]), expected)
     # Between two targets in different cells.
     pair = PointGrid(upload(np.array([[0.5, 0, 0], [-0.5, 0, 0]]), device), [2])
     pair.build()

@@ -21,7 +21,12 @@ from warpdef.problem import Problem
 # Chosen so that every term has a say: on sums, isometry at 250 would be a few per cent of a toy's loss.
 LOSS = {
     "as configured": {},
-    "mean, power 4, plain distance": {"reduction": "mean", "robust_power": 4, "tangential": 1.0, "isometry_weight": 1.0},
+    "mean, power 4, plain distance": {
+        "reduction": "mean",
+        "robust_power": 4,
+        "tangential": 1.0,
+        "isometry_weight": 1.0,
+    },
     "no confidence": {"confidence": False, "mesh_weight": 0.5, "input_weight": 2.0, "transform_weight": 3.0},
     "no isometry, along normals": {"isometry_weight": 0.0, "tangential": 0.0, "confidence_bound": "mean"},
 }
@@ -111,13 +116,15 @@ class Toy:
         ]
         return moved, met
 
-    def twin(self, nodes: np.ndarray | None = None, template: np.ndarray | None = None, weights=None) -> reference.Terms:
+    def twin(
+        self, nodes: np.ndarray | None = None, template: np.ndarray | None = None, weights=None
+    ) -> reference.Terms:
         nodes = self.nodes.astype(np.float64) if nodes is None else nodes
         template = self.template if template is None else template
         return reference.terms(self.scene, nodes, template, *self.pairs(), weights)
 
     def twin_total(self):
-        """The twin's objective as a function of nodes and template; all that the gradient takes for constant is frozen."""
+        """The twin's objective of nodes and template; all that the gradient takes for constant is frozen."""
         scene, pairs, trust = self.scene, self.pairs(), self.trust
         weights = self.twin().weights
 
@@ -198,7 +205,9 @@ def test_gradient_of_a_template_that_follows_the_mesh_term_alone(device: str) ->
 
 
 @pytest.mark.parametrize("keyframe", [1, 0], ids=["middle", "first"])
-def test_gradient_matches_differences_of_the_kernels_own_loss(keyframe: int, device: str, rng: np.random.Generator) -> None:
+def test_gradient_matches_differences_of_the_kernels_own_loss(
+    keyframe: int, device: str, rng: np.random.Generator
+) -> None:
     """Neighbours free, float32 throughout.
 
     Without robust weight and confidence, which the gradient takes for constant; and on plain distances, since only
@@ -252,9 +261,7 @@ def test_normals_unknown_is_the_plain_distance(device: str) -> None:
     """Clouds without normals: only the part that the tangential weight scales is left."""
     toy = Toy(device, tangential=1.0)
     p = toy.problem
-    without = Problem(
-        toy.scene.clouds, None, toy.template, _faces(), 1, toy.config, wp.get_device(device)
-    )
+    without = Problem(toy.scene.clouds, None, toy.template, _faces(), 1, toy.config, wp.get_device(device))
     np.testing.assert_array_equal(without.normals.numpy(), 0)
     np.testing.assert_allclose(without.cloud.numpy(), p.cloud.numpy())
     expected = toy.objective.loss_input.numpy()

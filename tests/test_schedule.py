@@ -14,11 +14,14 @@ from warpdef.kernels.schedule import (
     DELTA,
     RATE_SCALE,
     SCHEDULE_SIZE,
+    add_scaled,
     advance,
+    blend,
     clear_losses,
     clear_nodes,
     clear_vectors,
     confidence,
+    copy_vectors,
     template_gradient,
 )
 
@@ -40,7 +43,9 @@ def test_a_run_of_ten_iterations(cosine: bool, device: str) -> None:
 def run_confidence(loss_input, loss_transform, keyframe, delta, device, enabled=True, mean=False) -> np.ndarray:
     schedule = np.zeros(SCHEDULE_SIZE, dtype=np.float32)
     schedule[DELTA] = delta
-    arrays = [wp.array(np.asarray(a, np.float64), dtype=wp.float64, device=device) for a in (loss_input, loss_transform)]
+    arrays = [
+        wp.array(np.asarray(a, np.float64), dtype=wp.float64, device=device) for a in (loss_input, loss_transform)
+    ]
     found = wp.full(len(loss_transform), np.nan, dtype=wp.float32, device=device)
     confidence(enabled, mean, keyframe, wp.array(schedule, dtype=wp.float32, device=device), *arrays, found)
     return found.numpy()
@@ -78,6 +83,24 @@ def test_template_gradient(follow: bool, device: str, rng: np.random.Generator) 
     template_gradient(1, follow, *arrays, found)
     expected = chamfer[1] + (isometry[1] + carry[1] + carry[3] if follow else 0)
     np.testing.assert_allclose(found.numpy(), expected, rtol=1e-6)
+
+
+def test_copying(device: str, rng: np.random.Generator) -> None:
+    source = wp.array(rng.normal(size=(5, 3)).astype(np.float32), dtype=wp.vec3, device=device)
+    target = wp.zeros(5, dtype=wp.vec3, device=device)
+    copy_vectors(source, target)
+    np.testing.assert_array_equal(target.numpy(), source.numpy())
+
+
+def test_adding_and_blending(device: str, rng: np.random.Generator) -> None:
+    start, change = rng.normal(size=(2, 5, 3)).astype(np.float32)
+    source = wp.array(change, dtype=wp.vec3, device=device)
+    target = wp.array(start, dtype=wp.vec3, device=device)
+    add_scaled(1, 3, -0.5, source, target)
+    expected = start - 0.5 * change * np.array([[0], [1], [1], [1], [0]])
+    np.testing.assert_allclose(target.numpy(), expected, rtol=1e-6, atol=1e-6)
+    blend(1.5, source, target)
+    np.testing.assert_allclose(target.numpy(), expected + 1.5 * (change - expected), rtol=1e-6, atol=2e-6)
 
 
 def test_clearing_spans(device: str) -> None:

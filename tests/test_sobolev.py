@@ -54,7 +54,9 @@ def expected_grids(rhs: np.ndarray, kept: np.ndarray, config: Config) -> np.ndar
 
 @pytest.mark.parametrize("share", [1.0, 0.6], ids=["full", "pruned"])
 @pytest.mark.parametrize("solver", ["cosine", "cg", "warp"])
-def test_grid_solvers_agree_with_dense_matrices(solver: str, share: float, device: str, rng: np.random.Generator) -> None:
+def test_grid_solvers_agree_with_dense_matrices(
+    solver: str, share: float, device: str, rng: np.random.Generator
+) -> None:
     if solver == "cosine" and share < 1:
         pytest.skip("cosine transforms need full grids")
     config = configured(solver, prune=share < 1, tolerance=1e-6)

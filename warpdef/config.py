@@ -30,7 +30,8 @@ class KeyframeConfig:
 
     def __post_init__(self) -> None:
         named = self.choice in ("auto", "first", "middle")
-        _require(named or self.choice.isdigit(), "keyframe.choice", "auto, first, middle or an index from 0", self.choice)
+        known = named or self.choice.isdecimal()
+        _require(known, "keyframe.choice", "auto, first, middle or an index from 0", self.choice)
         _require(1 <= self.voxels <= 1024, "keyframe.voxels", "1 to 1024", self.voxels)
         _require(self.gamma >= 0, "keyframe.gamma", "a number from 0", self.gamma)
 
@@ -44,7 +45,7 @@ class TemplateConfig:
     backend: Literal["auto", "gpytoolbox", "pymeshlab"] = "auto"
     """Library for screened Poisson and remeshing; ``auto`` takes gpytoolbox, else pymeshlab."""
     depth: int = 0
-    """Octree depth of screened Poisson; 0: cells as large as the mean point spacing, as finer ones add false handles."""
+    """Octree depth of screened Poisson; 0: cells of the mean point spacing, as finer ones add false handles."""
     screening: float = 10.0
     """Point (screening) weight of screened Poisson."""
     faces_max: int = 20000
@@ -57,13 +58,14 @@ class TemplateConfig:
     """A surface place is far when its nearest point is further than this many mean point spacings."""
     far_share_max: float = 0.05
     """Largest share of far surface that passes the quality gate."""
-    missed_share_max: float = 0.02
+    missed_share_max: float = 0.01
     """Largest share of keyframe points further than that from the template that passes the quality gate."""
     attempts: int = 4
     """Keyframes tried before the best failing template is used with a warning."""
 
     def __post_init__(self) -> None:
-        _require(self.backend in ("auto", "gpytoolbox", "pymeshlab"), "template.backend", "auto, gpytoolbox or pymeshlab", self.backend)
+        known = self.backend in ("auto", "gpytoolbox", "pymeshlab")
+        _require(known, "template.backend", "auto, gpytoolbox or pymeshlab", self.backend)
         _require(self.depth == 0 or 3 <= self.depth <= 14, "template.depth", "0 (by spacing) or 3 to 14", self.depth)
         _require(self.screening >= 0, "template.screening", "a number from 0", self.screening)
         _require(self.faces_max >= 20, "template.faces_max", "at least 20", self.faces_max)
@@ -203,6 +205,39 @@ class OptimiserConfig:
 
 
 @dataclass(frozen=True)
+class RefineConfig:
+    """The vertex stage after the grids: Gauss-Newton on every vertex of every frame, and one shape for all frames."""
+
+    iterations: int = 20
+    """Rounds over all frames and the shape; 0 leaves the stage out, as the paper does."""
+    rigidity: float = 0.1
+    """Weight of local rigidity against one point-to-plane residual a vertex."""
+    damping: float = 0.01
+    """Weight that holds a vertex where it was at the start of a round."""
+    reach: float = 3.0
+    """Distance, in mean point spacings of the frame, at which a pair's weight has fallen to 1/e."""
+    agreement: float = 0.5
+    """Least cosine between the normals of a pair."""
+    shape_smoothness: float = 50.0
+    """Stiffness of the common shape's solve: larger lets a round change it over longer distances."""
+    shape_step: float = 1.7
+    """Step of the common shape towards its optimum in a round; above 1 overshoots, which converges faster."""
+    tolerance: float = 1e-3
+    """Residual, relative to the right-hand side, at which a frame's linear solve stops."""
+    iterations_max: int = 100
+    """Steps after which a frame's linear solve stops all the same."""
+
+    def __post_init__(self) -> None:
+        _require(self.iterations >= 0, "refine.iterations", "0 or more", self.iterations)
+        for key in ("rigidity", "damping", "reach", "shape_smoothness"):
+            _require(getattr(self, key) > 0, f"refine.{key}", "a number above 0", getattr(self, key))
+        _require(-1 <= self.agreement < 1, "refine.agreement", "from -1 to below 1", self.agreement)
+        _require(0 <= self.shape_step < 2, "refine.shape_step", "from 0 to below 2", self.shape_step)
+        _require(0 < self.tolerance < 1, "refine.tolerance", "between 0 and 1", self.tolerance)
+        _require(self.iterations_max >= 1, "refine.iterations_max", "at least 1", self.iterations_max)
+
+
+@dataclass(frozen=True)
 class Config:
     """One run, whole: the same input and the same Config give the same result."""
 
@@ -220,6 +255,7 @@ class Config:
     sobolev: SobolevConfig = field(default_factory=SobolevConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
 
     def __post_init__(self) -> None:
         parse_slice(self.frames)
@@ -264,6 +300,8 @@ def preset(name: str) -> Config:
         grid=replace(base.grid, prune=True),
         sobolev=replace(base.sobolev, solver="cg"),
         loss=replace(base.loss, tangential=1.0),
+        template=replace(base.template, depth=10),
+        refine=replace(base.refine, iterations=0),
         optimiser=replace(base.optimiser, iterations=5000, iterations_per_frame=80.0, warmup=100, decay="constant"),
     )
 

@@ -13,7 +13,7 @@ OBJ_MARK = b"# warpdef\n"
 
 
 def write_ply_folder(animation: Animation, folder: Path) -> None:
-    """Make ``folder`` with a binary PLY a frame; colours are ``red green blue (alpha)``, texture coordinates ``s t``."""
+    """Make ``folder`` with a binary PLY a frame; colours are ``red green blue alpha``, texture coordinates ``s t``."""
     folder.mkdir()
     fields = [(axis, "<f4") for axis in "xyz"]
     colors = () if animation.colors is None else ("red", "green", "blue", "alpha")[: animation.colors.shape[1]]

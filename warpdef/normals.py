@@ -139,6 +139,11 @@ def _unit(x: np.ndarray) -> np.ndarray:
     return x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300)
 
 
+def _dot(a: np.ndarray, b: np.ndarray) -> float:
+    # BLAS would add in an order that depends on its number of threads.
+    return float(np.sum(a * b))
+
+
 def _fit_planes(points: np.ndarray, index: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normals (N, 3) of weighted planes through ``points[index]``, and how clear each plane is: 1 flat, 0 a ball."""
     total = np.maximum(weight.sum(axis=1), 1e-300)
@@ -148,9 +153,7 @@ def _fit_planes(points: np.ndarray, index: np.ndarray, weight: np.ndarray) -> tu
     return axes[:, :, 0], 1.0 - np.clip(spread[:, 0], 0, None) / np.maximum(spread[:, 1], 1e-300)
 
 
-def _agreement(
-    points: np.ndarray, normals: np.ndarray, i: np.ndarray, j: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _agreement(points: np.ndarray, normals: np.ndarray, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How well the sides of pairs of normals agree, -1 to 1, and how far to trust that, 0 to 1; both of shape (E,).
 
     The first is n_i . n_j with n_j mirrored across the step from i to j: right across sharp edges and thin walls too.
@@ -228,17 +231,17 @@ def _least_norm_start(field: _CurlFreeField, area: np.ndarray) -> np.ndarray:
 
     # Mean diagonal by a random probe of signs.
     probe = np.random.default_rng(0).choice([-1.0, 1.0], len(area))
-    damping = REGULARISATION * abs(float(probe @ apply(probe))) / len(area)
+    damping = REGULARISATION * abs(_dot(probe, apply(probe))) / len(area)
     charges = np.zeros(len(area))
     residual = np.full(len(area), 0.5)
-    direction, start_sq = residual.copy(), float(residual @ residual)
+    direction, start_sq = residual.copy(), _dot(residual, residual)
     residual_sq = start_sq
     for _ in range(START_ITERATIONS):
         image = apply(direction) + damping * direction
-        step = residual_sq / float(direction @ image)
+        step = residual_sq / _dot(direction, image)
         charges += step * direction
         residual -= step * image
-        previous, residual_sq = residual_sq, float(residual @ residual)
+        previous, residual_sq = residual_sq, _dot(residual, residual)
         if residual_sq <= START_TOLERANCE**2 * start_sq:
             break
         direction = residual + residual_sq / previous * direction

@@ -190,11 +190,15 @@ class Objective:
         """All vertices of all frames for the nodes as they are."""
         self._chain(0, self.problem.vertex_count)
 
+    def placed_vertices(self) -> np.ndarray:
+        """Vertices of all frames, (T, V, 3) float32, cube units, in the template's own order."""
+        return self.vertices.numpy()[:, self.problem.place]
+
     # Phases.
 
     def steps(self) -> list[tuple[int, int]]:
         """Spans of transitions that are tasks of their own: one each on the CPU, all together on CUDA."""
-        return _spans(len(self.problem.transitions), 1 if self.problem.device.is_cpu else None)
+        return spans(len(self.problem.transitions), 1 if self.problem.device.is_cpu else None)
 
     def phases(self, warmup: bool) -> list[Phase]:
         """All phases of an evaluation; during warm-up only the input and mesh terms."""
@@ -203,8 +207,8 @@ class Objective:
         if warmup:
             k = p.transitions.keyframe
             return [Phase("move", [*clouds, partial(self._compare, k, k + 1)])]
-        runs = [(a, b - a) for a, b in _spans(p.vertex_count, _VERTICES_PER_TASK if cpu else None)]
-        frames = _spans(p.frame_count, 1 if cpu else None)
+        runs = [(a, b - a) for a, b in spans(p.vertex_count, _VERTICES_PER_TASK if cpu else None)]
+        frames = spans(p.frame_count, 1 if cpu else None)
         return [
             Phase("move", [*(partial(self._chain, a, n) for a, n in runs), *clouds]),
             Phase("compare", [partial(self._compare_and_keep, a, b) for a, b in frames]),
@@ -231,7 +235,7 @@ def _span(first_of: np.ndarray, first: int, last: int) -> tuple[int, int]:
     return int(first_of[first]), int(first_of[last] - first_of[first])
 
 
-def _spans(total: int, size: int | None) -> list[tuple[int, int]]:
+def spans(total: int, size: int | None) -> list[tuple[int, int]]:
     """``0 .. total`` cut into spans of ``size``; None: one span."""
     size = size or total
     return [(a, min(a + size, total)) for a in range(0, total, size)]

@@ -86,12 +86,15 @@ class Optimiser:
             solver.look(self.solves)
         return self.objective.losses()
 
+    def finish(self) -> None:
+        """Move ``objective.vertices`` to where the parameters, as they are now, put them."""
+        self._place_template()
+        self.objective.chain_all()
+
     def vertices(self) -> np.ndarray:
         """Vertices of all frames for the parameters as they are now, (T, V, 3) float32, cube units, template order."""
-        objective = self.objective
-        self._place_template()
-        objective.chain_all()
-        return objective.vertices.numpy()[:, self.problem.place]
+        self.finish()
+        return self.objective.placed_vertices()
 
     # Tasks.
 

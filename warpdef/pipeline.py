@@ -1,6 +1,6 @@
 """From a sequence of point clouds to one mesh that moves: the method in order. The page to read first.
 
-    clouds -> cube -> keyframe and template -> grids, objective, optimiser -> vertices -> input units
+    clouds -> cube -> keyframe and template -> grids, objective, optimiser -> vertices, refined -> input units
 
 Section names are those of *Preconditioned Deformation Grids* (Pacific Graphics 2025).
 """
@@ -22,7 +22,8 @@ from warpdef.mesh import TriMesh
 from warpdef.normals import pca_normals
 from warpdef.optimise import Optimiser
 from warpdef.problem import Problem
-from warpdef.progress import Callback, Clock, Progress, held_interrupts, peak_memory_mb
+from warpdef.progress import Callback, Clock, Interruption, Progress, held_interrupts, peak_memory_mb
+from warpdef.refine import Refinement
 from warpdef.result import Reconstruction
 from warpdef.sequence import PointSequence, Similarity
 from warpdef.template import ChosenTemplate, accept_user_template, choose_template
@@ -82,12 +83,23 @@ def reconstruct(
         with clock.phase("compile"):
             normals = _surface_normals(clouds, sequence.normals, config)
             mesh = chosen.mesh
-            problem = Problem(clouds, normals, mesh.vertices, mesh.faces, chosen.keyframe, config, target)
+            given = [n is not None for n in sequence.normals]
+            problem = Problem(clouds, normals, mesh.vertices, mesh.faces, chosen.keyframe, config, target, given)
             optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
             optimiser.prepare()
-        with clock.phase("optimise"):
-            steps, interrupted = _descend(optimiser, tell)
-            vertices = into.from_cube(optimiser.vertices()).astype(np.float32)
+            refinement = Refinement(optimiser.objective, team) if config.refine.iterations else None
+            if refinement is not None:
+                refinement.prepare()
+        with held_interrupts() as interruption:
+            with clock.phase("optimise"):
+                steps = _descend(optimiser, interruption, tell)
+                optimiser.finish()
+            # Beyond the paper: every vertex of every frame on its own, and one shape for all frames.
+            with clock.phase("refine"):
+                if refinement is not None and not interruption.asked:
+                    _refine(refinement, interruption, tell)
+            interrupted = interruption.asked
+        vertices = into.from_cube(optimiser.objective.placed_vertices()).astype(np.float32)
 
     result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=steps)
     result.report = _report(sequence, chosen, optimiser, steps, interrupted, team.size, clock)
@@ -105,29 +117,36 @@ def _template(
 def _surface_normals(
     clouds: list[np.ndarray], given: Sequence[np.ndarray | None], config: Config
 ) -> list[np.ndarray] | None:
-    """Normals for the tangential damping, whose sign does not matter; None where there is no damping."""
-    if config.loss.tangential == 1.0:
+    """Normals of all points: given ones, else of local planes, whose side is open; None where nothing asks for them."""
+    if config.loss.tangential == 1.0 and not config.refine.iterations:
         return None
     neighbours = config.template.neighbours
     return [pca_normals(p, neighbours) if n is None else n for p, n in zip(clouds, given, strict=True)]
 
 
-def _descend(optimiser: Optimiser, tell: Callback) -> tuple[list[dict[str, float]], bool]:
-    """All iterations, or those until Ctrl-C; the loss curve, and whether it was cut short."""
+def _descend(optimiser: Optimiser, interruption: Interruption, tell: Callback) -> list[dict[str, float]]:
+    """All iterations of the grid stage, or those until Ctrl-C; returns the loss curve."""
     steps: list[dict[str, float]] = []
-    with held_interrupts() as interruption:
-        while optimiser.done < optimiser.iterations and not interruption.asked:
-            optimiser.step()
-            if optimiser.done % _LOOK_EVERY == 0 or optimiser.done == optimiser.iterations:
-                losses = optimiser.look()
-                if not math.isfinite(losses["total"]):
-                    raise WarpdefError(
-                        f"the optimisation left the finite numbers by iteration {optimiser.done} (losses {losses}); "
-                        "lower optimiser.rate"
-                    )
-                steps.append({"iteration": optimiser.done, **losses})
-                tell(Progress("optimise", optimiser.done, optimiser.iterations, losses))
-    return steps, optimiser.done < optimiser.iterations
+    while optimiser.done < optimiser.iterations and not interruption.asked:
+        optimiser.step()
+        if optimiser.done % _LOOK_EVERY == 0 or optimiser.done == optimiser.iterations:
+            losses = optimiser.look()
+            if not math.isfinite(losses["total"]):
+                raise WarpdefError(
+                    f"the optimisation left the finite numbers by iteration {optimiser.done} (losses {losses}); "
+                    "lower optimiser.rate"
+                )
+            steps.append({"iteration": optimiser.done, **losses})
+            tell(Progress("optimise", optimiser.done, optimiser.iterations, losses))
+    return steps
+
+
+def _refine(refinement: Refinement, interruption: Interruption, tell: Callback) -> None:
+    """All rounds of the vertex stage, or those until Ctrl-C."""
+    refinement.start()
+    while refinement.done < refinement.config.iterations and not interruption.asked:
+        refinement.step()
+        tell(Progress("refine", refinement.done, refinement.config.iterations))
 
 
 def _report(
@@ -162,7 +181,7 @@ def _report(
         },
         "iterations": optimiser.done,
         "interrupted": interrupted,
-        "losses": steps[-1] if steps else {},
+        "losses": {key: value for key, value in (steps[-1] if steps else {}).items() if key != "iteration"},
         "solver": {
             "name": solves.solver,
             "iterations_most": solves.iterations,

@@ -7,7 +7,9 @@ stand behind each other in flat arrays, points along a Morton curve, so a frame 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -58,8 +60,9 @@ class Problem:
     """Static data of a run on one device.
 
     Args:
-        clouds: T arrays (N_t, 3), cube units. normals: T arrays (N_t, 3), unit length, sign irrelevant; or None.
+        clouds: T arrays (N_t, 3), cube units. normals: T arrays (N_t, 3), unit length; or None.
         vertices: template at the keyframe, (V, 3), cube units. faces: (F, 3). keyframe: its frame.
+        oriented: whether a frame's normals are known to point outwards; None: all are.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class Problem:
         keyframe: int,
         config: Config,
         device: wp.Device,
+        oriented: Sequence[bool] | None = None,
     ) -> None:
         self.config, self.device = config, device
         self.transitions = Transitions.away_from(keyframe, len(clouds))
@@ -82,6 +86,7 @@ class Problem:
         self._lay_clouds(clouds, normals)
         self._lay_moved(clouds)
         self._lay_template(vertices, faces)
+        self.oriented = np.ones(len(clouds), dtype=bool) if oriented is None else np.asarray(oriented)
         self.kept = self._keep_nodes(clouds)
 
     def _lay_clouds(self, clouds: list[np.ndarray], normals: list[np.ndarray] | None) -> None:
@@ -107,6 +112,7 @@ class Problem:
         order = morton_order(vertices)
         self.place = np.argsort(order)
         self.template = vertices[order]
+        self.faces = self.place[faces].astype(np.int32)
         edges = self.place[unique_edges(faces)]
         self.edges = wp.array(edges.astype(np.int32), dtype=wp.int32, ndim=2, device=self.device)
         self.mesh: Graph = mesh_graph(edges, len(vertices), self.template_lambda)
@@ -123,6 +129,15 @@ class Problem:
     @property
     def frame_count(self) -> int:
         return len(self.cloud_sizes)
+
+    @cached_property
+    def spacing(self) -> np.ndarray:
+        """Mean distance of a cloud's points to their nearest fellow, cube units, shape (T,)."""
+        from scipy.spatial import cKDTree
+
+        cloud, first = self.cloud.numpy(), self.cloud_first
+        clouds = [cloud[a:b] for a, b in zip(first[:-1], first[1:], strict=True)]
+        return np.array([cKDTree(c).query(c, k=2)[0][:, 1].mean() for c in clouds])
 
     @property
     def vertex_count(self) -> int:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 class Progress:
     """One message of a running reconstruction.
 
-    phase: "template", "compile" or "optimise". iteration: done so far, of iterations. losses: weighted terms.
+    phase: "template", "compile", "optimise" or "refine". iteration: done so far, of iterations. losses: weighted terms.
     message: something worth saying aloud, or empty.
     """
 

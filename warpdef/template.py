@@ -86,8 +86,8 @@ def choose_template(
     """Build templates on the best keyframes, in order, until one passes the quality gate.
 
     At most ``config.template.attempts`` frames are tried, and only one where the user named it. If none passes, the
-    best by the gate's score is taken, with a warning. A frame whose given normals lead to a failure is tried once more
-    with normals estimated from its points.
+    best by the gate's score is taken, with a warning. A frame that fails with given normals of doubtful side is tried
+    once more with normals estimated from its points.
 
     Args:
         clouds: one array a frame, each (N_t, 3), cube units.
@@ -100,39 +100,55 @@ def choose_template(
     """
     backend = load_backend(config.template.backend)
     candidates = rank_keyframes(clouds, config.keyframe)[: config.template.attempts]
+    attempts = []
+    for candidate in candidates:
+        if normals[candidate.frame] is not None:
+            attempts.append((candidate, "given"))
+        attempts.append((candidate, "estimated"))
     warnings: list[str] = []
     tried: list[ChosenTemplate] = []
-    for rank, candidate in enumerate(candidates):
+    while attempts:
+        candidate, source = attempts.pop(0)
         frame = candidate.frame
-        last = rank == len(candidates) - 1
-        then = "" if last else f"; trying frame {candidates[rank + 1].frame}"
-        given = normals[frame]
-        for use in (given, None) if given is not None else (None,):
-            retry = given is not None and use is not None
-            then_now = "; trying it with estimated normals" if retry else then
-            try:
-                built = build(clouds[frame], use, config.template, backend)
-            except InputError as error:
-                warnings.append(f"keyframe {frame} gave no template: {error}{then_now}")
-                continue
-            gate = judge(built.mesh, clouds[frame], config.template, config.seed)
-            made = [f"keyframe {frame}: {w}" for w in built.warnings]
-            chosen = ChosenTemplate(built.mesh, frame, candidate.why, built.report, gate, made)
-            if gate.passed:
-                return replace(chosen, warnings=warnings + made)
-            tried.append(chosen)
-            reasons = " and ".join(gate.failures)
-            warnings.append(f"keyframe {frame} failed the template gate: {reasons}{then_now}")
+        try:
+            built = build(clouds[frame], normals[frame] if source == "given" else None, config.template, backend)
+        except InputError as error:
+            warnings.append(f"keyframe {frame} gave no template: {error}{_next(frame, attempts)}")
+            continue
+        gate = judge(built.mesh, clouds[frame], config.template, config.seed)
+        made = [f"keyframe {frame}: {w}" for w in built.warnings]
+        chosen = ChosenTemplate(built.mesh, frame, candidate.why, built.report, gate, made)
+        if gate.passed:
+            return replace(chosen, warnings=warnings + made)
+        tried.append(chosen)
+        if source == "given" and built.report.flipped <= FLIPPED_WARN * len(clouds[frame]):
+            attempts.pop(0)  # the given normals are not to blame
+        reasons = " and ".join(gate.failures)
+        warnings.append(f"keyframe {frame} failed the template gate: {reasons}{_next(frame, attempts)}")
     if not tried:
         raise InputError(f"no template: {warnings[-1]}; give a mesh of your own with --template")
     best = min(tried, key=lambda c: c.gate.score)
     warnings += best.warnings
+    if best.gate.far_share > config.template.far_share_max:
+        advice = (
+            "an open or partly seen surface cannot be closed well: check the template, or give your own with --template"
+        )
+    else:
+        advice = (
+            "a thin limb may be lost: try more points, a larger template.attempts, or your own mesh with --template"
+        )
     warnings.append(
         f"no keyframe passed the template gate; using the best, frame {best.keyframe}, though "
-        f"{' and '.join(best.gate.failures)}. An open or partly seen surface cannot be closed well: "
-        "check the template, or give a mesh of your own with --template"
+        f"{' and '.join(best.gate.failures)}; {advice}"
     )
     return replace(best, warnings=warnings)
+
+
+def _next(frame: int, attempts: list) -> str:
+    if not attempts:
+        return ""
+    candidate, _ = attempts[0]
+    return "; trying estimated normals" if candidate.frame == frame else f"; trying frame {candidate.frame}"
 
 
 def build(
@@ -207,7 +223,10 @@ def depth_by_spacing(points: np.ndarray) -> int:
 def _even_triangles(
     vertices: np.ndarray, faces: np.ndarray, target: int, backend: Backend
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Remesh to just under ``target`` faces, and the edge length that did it: F equilateral faces have area F sqrt(3)/4 h^2."""
+    """Vertices and faces, just under ``target`` of them, and the edge length h that did it.
+
+    F equilateral faces have the area F sqrt(3) / 4 h^2.
+    """
     area = float(topology.face_areas(vertices, faces).sum())
     if not area > 0:
         raise InputError("the reconstructed surface has no area; the cloud does not look like a closed surface")
@@ -267,7 +286,9 @@ def accept_user_template(mesh: TriMesh, clouds: Sequence[np.ndarray], config: Co
     warnings += [f"the template given for keyframe {frame}: {failure}" for failure in gate.failures]
     unused = len(mesh.vertices) - len(np.unique(mesh.faces))
     if unused:
-        warnings.append(f"the template given: {unused} of its vertices belong to no face and will not follow the motion")
+        warnings.append(
+            f"the template given: {unused} of its vertices belong to no face and will not follow the motion"
+        )
     return ChosenTemplate(mesh, frame, why, TemplateReport(backend="user"), gate, warnings)
 
 
@@ -279,4 +300,3 @@ def _mean_distance(mesh: TriMesh, points: np.ndarray, seed: int) -> float:
     samples = sample_surface(mesh.vertices, mesh.faces, 5000, np.random.default_rng(seed))[0]
     there, back = cKDTree(points).query(samples)[0], cKDTree(samples).query(points)[0]
     return float(there.mean() + back.mean()) / 2
-

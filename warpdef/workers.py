@@ -62,7 +62,6 @@ class Team:
         self._work: list[list[wp.Launch]] = []
         self._next = iter(())
         self._failure: BaseException | None = None
-        self._closing = False
         self._threads = [threading.Thread(target=self._serve, daemon=True) for _ in range(size - 1)]
         for thread in self._threads:
             thread.start()
@@ -76,20 +75,23 @@ class Team:
             return
         # One shared iterator hands out the lists: next() is atomic under the interpreter lock.
         self._next = iter(work)
-        self._start.wait()
-        self._drain()
-        self._end.wait()
+        try:
+            self._start.wait()
+            self._drain()
+            self._end.wait()
+        except BaseException:
+            # An interrupted wait leaves the barrier one short: the others must not wait for ever.
+            self._end.abort()
+            raise
         if self._failure is not None:
             failure, self._failure = self._failure, None
             raise failure
 
     def close(self) -> None:
         """End the threads."""
-        if self._threads and not self._closing:
-            self._closing = True
-            self._start.wait()
-            for thread in self._threads:
-                thread.join()
+        self._start.abort()
+        for thread in self._threads:
+            thread.join()
         self._threads = []
 
     def _drain(self) -> None:
@@ -101,12 +103,13 @@ class Team:
             self._failure = failure
 
     def _serve(self) -> None:
-        while True:
-            self._start.wait()
-            if self._closing:
-                return
-            self._drain()
-            self._end.wait()
+        try:
+            while True:
+                self._start.wait()
+                self._drain()
+                self._end.wait()
+        except threading.BrokenBarrierError:
+            return  # closed
 
 
 class Iteration:

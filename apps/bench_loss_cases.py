@@ -1,0 +1,96 @@
+"""Rows of ``warpdef bench``: Chamfer in both directions, and isometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from warpdef.apps.bench_bed import Bed, Case, Peer, run_tasks
+from warpdef.apps.bench_peers import add_rows, chamfer_numpy, isometry_numpy
+from warpdef.kernels.chamfer import fixed_to_moving, moving_to_fixed
+from warpdef.kernels.isometry import isometry
+
+_POINT, _INDEX = 12, 4  # bytes
+_PAIR = 45  # flops of one residual and its gradient, by hand; the exponential counted as 10
+_EDGE = 40
+
+
+def loss_cases(bed: Bed) -> list[Case]:
+    """The vertices of all frames against the clouds, and their edges against those of the next frame."""
+    return [*_chamfer(bed), _isometry(bed)]
+
+
+def _chamfer(bed: Bed) -> list[Case]:
+    p, o, loss = bed.problem, bed.objective, bed.problem.config.loss
+    frames = p.frame_count
+    vertices = wp.clone(o.vertices).flatten()
+    vertex_first = np.arange(frames + 1) * p.vertex_count
+    to_cloud, to_vertex = wp.clone(o.vertex_to_cloud.index), wp.clone(o.cloud_to_vertex.index)
+    share, weight = p.numbers(np.ones(frames)), p.numbers(np.full(frames, 0.5))
+    robust = (loss.robust_alpha, loss.robust_power, loss.tangential)
+    losses = wp.zeros(frames, dtype=wp.float64, device=bed.device)
+    adj = wp.zeros_like(vertices)
+    results = (share, weight, robust, losses, adj)
+    out = bed.span_tasks(
+        lambda a, n: moving_to_fixed(a, n, vertices, p.vertex_frame, to_cloud, p.cloud, p.normals, *results),
+        vertex_first,
+    )
+    back = bed.span_tasks(
+        lambda a, n: fixed_to_moving(a, n, p.cloud, p.normals, p.cloud_frame, to_vertex, vertices, *results),
+        p.cloud_first,
+    )
+
+    def gradient(tasks: list) -> tuple[np.ndarray, ...]:
+        adj.zero_()
+        losses.zero_()
+        run_tasks(tasks)
+        return adj.numpy(), losses.numpy().sum()
+
+    x, cloud, normals = vertices.numpy(), p.cloud.numpy(), p.normals.numpy()
+    at_cloud, at_vertex = to_cloud.numpy(), to_vertex.numpy()
+
+    def out_numpy(workers: int) -> tuple[np.ndarray, ...]:
+        energy, pull = chamfer_numpy(x, cloud[at_cloud], normals[at_cloud], robust, 0.5)
+        return pull, energy.sum(dtype=np.float64)
+
+    def back_numpy(workers: int) -> tuple[np.ndarray, ...]:
+        energy, pull = chamfer_numpy(x[at_vertex], cloud, normals, robust, 0.5)
+        return add_rows(at_vertex, pull, len(x)), energy.sum(dtype=np.float64)
+
+    met = 2 * _POINT + 2 * _INDEX  # of the other set, its normal, slot and neighbour
+    return [
+        Case(
+            "Chamfer, vertices to cloud", "points", len(x), len(x) * (2 * _POINT + 2 * _INDEX) + len(cloud) * 2 * _POINT,
+            out, len(x) * _PAIR, answer=lambda: gradient(out), peers=[Peer("numpy", out_numpy)],
+        ),
+        Case(
+            "Chamfer, cloud to vertices", "points", len(cloud), len(cloud) * met + len(x) * 3 * _POINT,
+            back, len(cloud) * (_PAIR + 3), answer=lambda: gradient(back), peers=[Peer("numpy", back_numpy)],
+        ),
+    ]  # fmt: skip
+
+
+def _isometry(bed: Bed) -> Case:
+    p, o = bed.problem, bed.objective
+    frames, edges = p.frame_count, len(p.edges)
+    share, weight = 1.0 / ((frames - 1) * edges), p.config.loss.isometry_weight
+    losses = wp.zeros(frames, dtype=wp.float64, device=bed.device)
+    vertices, adj = wp.clone(o.vertices), wp.zeros_like(o.vertices)
+    tasks = bed.span_tasks(
+        lambda a, n: isometry(a, n, vertices, p.edges, share, weight, losses, adj), np.arange(frames + 1) * edges
+    )
+
+    def gradient() -> tuple[np.ndarray, ...]:
+        adj.zero_()
+        losses.zero_()
+        run_tasks(tasks)
+        return adj.numpy(), losses.numpy().sum()
+
+    x, pairs = vertices.numpy(), p.edges.numpy()
+    count = frames * edges
+    size = frames * p.vertex_count * 3 * _POINT + count * 2 * _INDEX
+    peer = Peer("numpy", lambda workers: isometry_numpy(x, pairs, share, weight))
+    # An edge whose length changes by a rounding error may pull either way: that many edges' gradients may differ.
+    return Case(
+        "isometry", "edges", count, size, tasks, count * _EDGE, answer=gradient, peers=[peer], tolerance=1e-2
+    )

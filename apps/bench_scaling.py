@@ -1,0 +1,93 @@
+"""How time and memory of an iteration grow: one field of the size varied at a time, a process of its own a point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from warpdef.apps.bench_data import Source, make_work
+from warpdef.apps.bench_point import run_point
+from warpdef.apps.bench_sizes import EXPONENT_MAX, LINEAR_SWEEPS, Size
+from warpdef.apps.bench_timing import fit_exponent
+
+GROWING = ("ms", "arrays_mb", "peak_mb")
+
+
+def sweep_sizes(base: Size, field: str, values: Sequence[int]) -> list[Size]:
+    """``base`` with one field varied."""
+    return [replace(base, name=f"{field} {value}", **{field: value}) for value in values]
+
+
+def thread_counts(most: int) -> list[int]:
+    """1, 2, 4, ... and ``most``."""
+    counts = [1]
+    while counts[-1] * 2 < most:
+        counts.append(counts[-1] * 2)
+    return [*counts, most] if most > 1 else counts
+
+
+def run_sweeps(
+    source: Source,
+    base: Size,
+    sweeps: dict[str, Sequence[int]],
+    largest: Size | None,
+    device: str,
+    threads: int,
+    iterations: int,
+    folder: Path,
+    tell: Callable[[str], None],
+) -> list[dict]:
+    """All sweeps, the one over threads (CPU only), and the largest problem.
+
+    Times are medians over early iterations of a descent, where neighbours move most: later ones are cheaper.
+    """
+    done = []
+    file = folder / "work.npz"
+
+    def point(size: Size, count: int) -> dict:
+        tell(f"scaling: {size.name}, {count} threads")
+        make_work(source, size).save(file)
+        return run_point(file, size, device, count, iterations)
+
+    if device == "cpu":
+        points = [{"value": count, **point(replace(base, name="threads"), count)} for count in thread_counts(threads)]
+        done.append({"field": "threads", "threads": None, "points": points, "exponents": exponents(points)})
+    for field, values in sweeps.items():
+        points = [
+            {"value": len_or(value, field, found), **found}
+            for value, size in zip(values, sweep_sizes(base, field, values), strict=True)
+            for found in [point(size, threads)]
+        ]
+        done.append({"field": field, "threads": threads, "points": points, "exponents": exponents(points)})
+    if largest is not None:
+        points = [{"value": largest.points, **point(largest, threads)}]
+        done.append({"field": "largest", "threads": threads, "points": points, "exponents": {}})
+    for sweep in done:
+        sweep["within"] = within_bound(sweep)
+    return done
+
+
+def len_or(value: int, field: str, found: dict) -> int:
+    """What was measured: vertices come as near to what was asked for as the mesh allows."""
+    return found["vertices"] if field == "vertices" else value
+
+
+def exponents(points: Sequence[dict]) -> dict[str, float]:
+    """Fitted exponent of each growing quantity, and ``..._top``: that between the two largest points alone."""
+    if len({p["value"] for p in points}) < 2:
+        return {}
+    sizes = [p["value"] for p in points]
+    found = {}
+    for key in GROWING:
+        values = [p[key] for p in points]
+        found[key] = fit_exponent(sizes, values)
+        found[f"{key}_top"] = fit_exponent(sizes[-2:], values[-2:])
+    return found
+
+
+def within_bound(sweep: dict) -> bool | None:
+    """Whether time and memory grow with at most ``EXPONENT_MAX``; None where nothing is promised."""
+    if sweep["field"] not in LINEAR_SWEEPS:
+        return None
+    return all(sweep["exponents"][key] <= EXPONENT_MAX for key in ("ms", "arrays_mb"))

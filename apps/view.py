@@ -1,0 +1,206 @@
+"""``warpdef view``: a result in a window, or as pictures, a movie, or a web page."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from warpdef.apps.console import clean_stdout, say
+from warpdef.apps.exit_codes import EXIT_OK
+from warpdef.apps.view_movie import check_outputs
+from warpdef.config import parse_slice
+from warpdef.errors import InputError
+
+if TYPE_CHECKING:
+    from warpdef.apps.view_content import Content
+    from warpdef.apps.view_scene import Look
+
+Flag = Annotated[bool, Parameter(negative="")]
+Slice = Annotated[str, Parameter(allow_leading_hyphen=True)]
+
+
+def view(
+    output: Path,
+    /,
+    *,
+    input: Path | None = None,
+    truth: Path | None = None,
+    truth_frames: Slice = "",
+    compare: Path | None = None,
+    side_by_side: Flag = False,
+    frames: Slice = "",
+    color: Literal["template", "plain", "error", "stretch", "displacement"] = "template",
+    cloud: Flag = False,
+    trajectories: Flag = False,
+    wireframe: Flag = False,
+    flat: Flag = False,
+    fps: Annotated[float, Parameter(validator=Number(gt=0))] = 12.0,
+    up: Literal["y", "z"] = "y",
+    unit: str = "input units",
+    frame: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
+    size: str = "",
+    screenshot: Path | None = None,
+    sheet: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
+    movie: Path | None = None,
+    turntable: Flag = False,
+    html: Path | None = None,
+    overwrite: Flag = False,
+) -> int:
+    """Show a result: in a window, where h lists the keys, or without one as pictures, a movie or a web page.
+
+    Args:
+        output: Folder of a reconstruction.
+        input: The clouds it was made from; clouds.npz in OUTPUT is taken where there is one.
+        truth: The true meshes; truth.npz in OUTPUT is taken where there is one.
+        truth_frames: The truth's frames that the result was made from, start:stop:step.
+        compare: Another result of the same frames, beside it.
+        side_by_side: Input, reconstruction and truth in panes of their own with one camera.
+        frames: Frames of the result to show, start:stop:step; empty: all.
+        color: template: colours that stay with the surface; error: distance to the truth's surface, or else of the
+            input's points; stretch and displacement: against the keyframe.
+        cloud: Show the input cloud over the mesh.
+        trajectories: Show the ways of some vertices.
+        wireframe: Show edges only.
+        flat: Shade every triangle by itself.
+        fps: Frames a second.
+        up: The axis that points up.
+        unit: What the colour bar calls a length of 1.
+        frame: The frame shown first, counted from 0.
+        size: Width and height of window or pictures, as 1280x720.
+        screenshot: Write a picture, .png or .jpg.
+        sheet: Make the picture a contact sheet of this many frames.
+        movie: Write a movie, .gif, or .mp4 with the extra [movie].
+        turntable: Turn the camera once around during the movie.
+        html: Write a page for the browser that needs neither server nor network.
+        overwrite: Replace older files.
+    """
+    from warpdef.apps.view_probe import RenderingProbe
+    from warpdef.apps.view_scene import Look
+
+    if sheet and screenshot is None:
+        raise InputError("--sheet: expected --screenshot FILE.png for the picture, got none; name it")
+    if turntable and movie is None:
+        raise InputError("--turntable: expected --movie FILE for it, got none; name it")
+    check_outputs(screenshot, movie, html, overwrite)
+    width, height = parse_size(size)
+    in_window = screenshot is None and movie is None and html is None
+    probe = RenderingProbe(in_window) if in_window or screenshot is not None or movie is not None else None
+    try:
+        from warpdef.apps.view_content import load_content
+
+        content = load_content(
+            output,
+            clouds=input,
+            truth=truth,
+            truth_frames=parse_slice(truth_frames),
+            compare=compare,
+            side_by_side=side_by_side,
+            frames=parse_slice(frames),
+            up=up,
+            unit=unit,
+        )
+        if frame >= len(content):
+            raise InputError(f"--frame: expected 0..{len(content) - 1}, got {frame}")
+        look = Look(color, cloud, trajectories, wireframe, not flat)
+        _check_look(content, look)
+        if html is not None:
+            _write_html(content, look, html, fps, frame)
+        if probe is not None:
+            probe.require()
+    finally:
+        if probe is not None:
+            probe.stop()
+    if in_window:
+        _open_window(content, look, (width, height), fps, frame, str(output))
+    elif probe is not None:
+        _write_pictures(content, look, (width, height), fps, frame, screenshot, sheet, movie, turntable)
+    return EXIT_OK
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """``"1280x720"`` as (1280, 720); the empty text as that size.
+
+    Raises:
+        InputError: not of that form, or below 64 or above 8192.
+    """
+    match = re.fullmatch(r"([0-9]{1,5})[xX×]([0-9]{1,5})", text or "1280x720")
+    size = (int(match[1]), int(match[2])) if match else (0, 0)
+    if not 64 <= min(size) <= max(size) <= 8192:
+        raise InputError(f"--size: expected width x height from 64 to 8192, as 1280x720, got {text}")
+    return size
+
+
+def _check_look(content: Content, look: Look) -> None:
+    """A measure or a cloud that was asked for must be there."""
+    if look.color == "error" and "error" not in content.measures:
+        raise InputError("--color error: expected something to measure against; give --truth or --input")
+    if look.cloud and all(pane.clouds is None for pane in content.panes):
+        raise InputError("--cloud: expected the clouds that the result was made from; give --input")
+
+
+def _write_html(content: Content, look: Look, path: Path, fps: float, frame: int) -> None:
+    from warpdef.apps.view_html import write_html
+
+    started = time.perf_counter()
+    write_html(content, look, path, fps, frame)
+    _report(path, started, f"{len(content)} frames")
+
+
+def _write_pictures(
+    content: Content,
+    look: Look,
+    size: tuple[int, int],
+    fps: float,
+    frame: int,
+    screenshot: Path | None,
+    sheet: int,
+    movie: Path | None,
+    turntable: bool,
+) -> None:
+    from warpdef.apps.view_movie import contact_sheet, save_picture, write_movie
+    from warpdef.apps.view_scene import Scene
+
+    with clean_stdout():
+        # mp4 wants even numbers of pixels.
+        scene = Scene(content, off_screen=True, size=(size[0] // 2 * 2, size[1] // 2 * 2), look=look)
+    try:
+        if screenshot is not None:
+            started = time.perf_counter()
+            with clean_stdout():
+                scene.show(frame)
+                save_picture(contact_sheet(scene, sheet) if sheet else scene.picture(), screenshot)
+            _report(screenshot, started, f"{min(sheet, len(content))} frames" if sheet else f"frame {frame}")
+        if movie is not None:
+            started = time.perf_counter()
+            with clean_stdout():
+                count = write_movie(scene, movie, fps, turntable)
+            _report(movie, started, f"{count} pictures")
+    finally:
+        scene.close()
+
+
+def _open_window(content: Content, look: Look, size: tuple[int, int], fps: float, frame: int, title: str) -> None:
+    from warpdef.apps.view_player import Player
+    from warpdef.apps.view_scene import Scene
+    from warpdef.apps.view_window import Window
+
+    with clean_stdout():
+        scene = Scene(content, off_screen=False, size=size, look=look)
+        try:
+            player = Player(len(content), fps, frame)
+            window = Window(scene, player, Path.cwd(), say)
+            window.open(f"warpdef: {title}")
+            say("warpdef: h in the window lists the keys")
+            window.play()
+            window.run()
+        finally:
+            scene.close()
+
+
+def _report(path: Path, started: float, what: str) -> None:
+    print(f"{what}: {path} ({path.stat().st_size / 1e6:.1f} MB, {time.perf_counter() - started:.1f} s)")

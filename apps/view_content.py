@@ -1,0 +1,180 @@
+"""What a view shows: panes side by side, each a moving mesh, clouds, or both. No drawing here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from warpdef.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from warpdef.colouring import Colouring
+    from warpdef.mesh import MeshSequence, TriMesh
+
+INPUT_FILES, TRUTH_FILES = ("clouds.npz",), ("truth.npz",)
+"""What a demo leaves beside its result, taken where nothing else is named."""
+
+
+@dataclass
+class Pane:
+    """One picture of a view.
+
+    title:     shown above it
+    meshes:    the moving mesh; or one mesh a frame, of any triangles; or nothing
+    clouds:    point clouds over it                               T arrays (N_t, 3)
+    colors:    of the vertices, where there are any of their own  (V, 3) uint8
+    colouring: the measures that the mesh can be coloured by
+    keyframe:  frame that the mesh was built on
+    """
+
+    title: str
+    meshes: MeshSequence | Sequence[TriMesh] | None = None
+    clouds: Sequence[np.ndarray] | None = None
+    colors: np.ndarray | None = None
+    colouring: Colouring | None = None
+    keyframe: int = 0
+
+    def surface(self, frame: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Vertices (V, 3) and faces (F, 3) of a frame."""
+        if self.meshes is None:
+            return None
+        mesh = self.meshes[frame]
+        return mesh.vertices, mesh.faces
+
+    @property
+    def moving(self) -> MeshSequence | None:
+        """The mesh, where its triangles are the same in all frames."""
+        from warpdef.mesh import MeshSequence
+
+        return self.meshes if isinstance(self.meshes, MeshSequence) else None
+
+
+@dataclass
+class Content:
+    """All panes of a view, and what they share.
+
+    names: what the frames are called     T strings
+    up:    the axis that points up        "y" or "z"
+    unit:  what lengths are given in
+    """
+
+    panes: list[Pane]
+    names: tuple[str, ...]
+    up: str = "y"
+    unit: str = "input units"
+    bounds: tuple[np.ndarray, np.ndarray] = field(init=False)
+
+    def __post_init__(self) -> None:
+        import numpy as np
+
+        parts = []
+        for pane in self.panes:
+            if pane.moving is not None:
+                parts.append(pane.moving.vertices.reshape(-1, 3))
+            elif pane.meshes is not None:
+                parts += [mesh.vertices for mesh in pane.meshes]
+            # Single stray points must not push the camera away.
+            parts += [np.percentile(points, (0.5, 99.5), axis=0) for points in pane.clouds or ()]
+        self.bounds = (
+            np.min([p.min(axis=0) for p in parts], axis=0).astype(float),
+            np.max([p.max(axis=0) for p in parts], axis=0).astype(float),
+        )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def measures(self) -> list[str]:
+        """Measures that any pane can be coloured by."""
+        found = [pane.colouring.measures for pane in self.panes if pane.colouring is not None]
+        return list(dict.fromkeys(name for names in found for name in names))
+
+
+def load_content(
+    output: Path,
+    *,
+    clouds: Path | None = None,
+    truth: Path | None = None,
+    truth_frames: slice | None = None,
+    compare: Path | None = None,
+    side_by_side: bool = False,
+    frames: slice | None = None,
+    up: str = "y",
+    unit: str = "input units",
+) -> Content:
+    """Read a run and what belongs to it.
+
+    Args:
+        output: the run folder.
+        clouds: its input; the run's own frames of it are taken. None: clouds.npz in the run folder, where there is one.
+        truth: true meshes; None: truth.npz in the run folder, where there is one.
+        truth_frames: the truth's frames that the run was made from.
+        compare: another run of the same frames, shown beside.
+        side_by_side: input, reconstruction and truth in panes of their own.
+        frames: frames of the run to show.
+
+    Raises:
+        InputError: something is missing or damaged, or numbers of frames do not fit.
+    """
+    from warpdef.config import parse_slice
+    from warpdef.files import read_clouds, read_mesh_frames, same_triangles
+    from warpdef.frame_files import select_frames
+    from warpdef.run_folder import load_run
+
+    run = load_run(output)
+    clouds, truth = clouds or _beside(output, INPUT_FILES), truth or _beside(output, TRUTH_FILES)
+    chosen = select_frames(range(len(run.meshes)), frames, 1, run.path)
+    points = true_meshes = None
+    if clouds is not None:
+        read = read_clouds(clouds, parse_slice(run.config.frames)).points
+        _same_count(len(read), run, clouds, "choose the clouds that it was made from with --input")
+        points = [read[t] for t in chosen]
+    if truth is not None:
+        read_meshes = read_mesh_frames(truth, truth_frames)
+        _same_count(len(read_meshes), run, truth, "pick the frames it was made from with --truth-frames start:stop:step")
+        picked = [read_meshes[t] for t in chosen]
+        true_meshes = same_triangles(picked) or picked
+    panes = [_run_pane(output, run, chosen, "reconstruction" if compare is None else str(output), points, true_meshes)]
+    if compare is not None:
+        other = load_run(compare)
+        _same_count(len(other.meshes), run, compare, "compare runs of the same frames")
+        panes.append(_run_pane(compare, other, chosen, str(compare), points, true_meshes))
+    if side_by_side:
+        if points is None and true_meshes is None and compare is None:
+            raise InputError("--side-by-side: expected something to show beside; give --input, --truth or --compare")
+        if points is not None:
+            panes.insert(0, Pane("input", clouds=points))
+        if true_meshes is not None:
+            panes.append(Pane("truth", meshes=true_meshes))
+    names = tuple(run.names[t] for t in chosen)
+    return Content(panes, names, up, unit)
+
+
+def _beside(output: Path, names: Sequence[str]) -> Path | None:
+    return next((output / name for name in names if (output / name).is_file()), None)
+
+
+def _same_count(count: int, run, path: Path, advice: str) -> None:
+    if count != len(run.meshes):
+        raise InputError(f"{path}: expected the {len(run.meshes)} frames of {run.path}, got {count}; {advice}")
+
+
+def _run_pane(path: Path, run, chosen: list[int], title: str, points, truth) -> Pane:
+    import numpy as np
+
+    from warpdef.animation import Animation
+    from warpdef.colouring import Colouring
+    from warpdef.mesh import MeshSequence
+    from warpdef.numpy_files import Npz
+
+    npz = Npz(path / "sequence.npz")
+    colors = Animation(run.meshes, colors=npz.array("vertex_colors")).colors if "vertex_colors" in npz else None
+    meshes = MeshSequence(run.meshes.vertices[chosen], run.meshes.faces)
+    # The keyframe may not be among the frames shown; the nearest one takes its part.
+    keyframe = int(np.abs(np.array(chosen) - run.keyframe).argmin())
+    colouring = Colouring(meshes, keyframe, points, truth)
+    return Pane(title, meshes, points, None if colors is None else colors[:, :3], colouring, keyframe)

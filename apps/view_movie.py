@@ -1,0 +1,156 @@
+"""Pictures without a window: a screenshot, a contact sheet, a movie, a turntable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpdef.errors import InputError, MissingPackageError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from warpdef.apps.view_scene import Scene
+
+MOVIES = (".mp4", ".gif")
+PICTURES = (".png", ".jpg", ".jpeg")
+TURN_SECONDS = 6.0
+"""Shortest time of a turntable's round."""
+
+
+def check_outputs(screenshot: Path | None, movie: Path | None, html: Path | None, overwrite: bool) -> None:
+    """Check names, places and packages before anything is read.
+
+    Raises:
+        InputError: an unknown suffix, no such folder, or a place that is taken.
+        MissingPackageError: .mp4 without its package.
+    """
+    for path, suffixes in ((screenshot, PICTURES), (movie, MOVIES), (html, (".html", ".htm"))):
+        if path is None:
+            continue
+        if path.suffix.lower() not in suffixes:
+            raise InputError(f"{path}: unknown suffix '{path.suffix}'; expected one of {' '.join(suffixes)}")
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: expected a file in a folder that is there, got '{path.parent}'; make it first")
+        if path.is_dir() or (path.exists() and not overwrite):
+            raise InputError(f"{path}: already exists; choose another place, or replace it with --overwrite")
+    if movie is not None and movie.suffix.lower() == ".mp4":
+        _require_ffmpeg()
+
+
+def save_picture(picture: np.ndarray, path: Path) -> None:
+    """Write (height, width, 3) uint8; the file appears at once or not at all."""
+    from PIL import Image
+
+    from warpdef.disk import replacing
+
+    with replacing(path) as stream:
+        Image.fromarray(picture).save(stream, format="PNG" if path.suffix.lower() == ".png" else "JPEG")
+
+
+def contact_sheet(scene: Scene, count: int) -> np.ndarray:
+    """``count`` frames, evenly spread, in rows; shape (height, width, 3) uint8."""
+    import numpy as np
+
+    frames = sheet_frames(len(scene.content), count)
+    pictures = []
+    for frame in frames:
+        scene.show(frame)
+        pictures.append(scene.picture())
+    columns = math.ceil(math.sqrt(len(pictures)))
+    blank = np.full_like(pictures[0], 255)
+    rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
+    rows[-1] = rows[-1] + [blank] * (columns - len(rows[-1]))
+    return np.concatenate([np.concatenate(row, axis=1) for row in rows])
+
+
+def sheet_frames(total: int, count: int) -> list[int]:
+    """At most ``count`` of ``total`` frames, first and last among them, each once."""
+    count = min(count, total)
+    return [round(k * (total - 1) / (count - 1)) for k in range(count)] if count > 1 else [0]
+
+
+def movie_steps(total: int, fps: float, turntable: bool) -> list[tuple[int, float]]:
+    """Frame and camera turn in degrees of each picture of a movie.
+
+    A turntable repeats the motion, whole, until its round has taken at least ``TURN_SECONDS``.
+    """
+    if not turntable:
+        return [(frame, 0.0) for frame in range(total)]
+    length = total * max(1, math.ceil(TURN_SECONDS * fps / total))
+    return [(k % total, 360.0 * k / length) for k in range(length)]
+
+
+def write_movie(scene: Scene, path: Path, fps: float, turntable: bool) -> int:
+    """Write .mp4 or .gif; the file appears at once or not at all. Returns the number of pictures.
+
+    Raises:
+        InputError: the file cannot be written.
+        MissingPackageError: .mp4 without its package.
+    """
+    steps = movie_steps(len(scene.content), fps, turntable)
+
+    def pictures() -> Iterator[np.ndarray]:
+        for frame, turn in steps:
+            if turntable:
+                scene.place_camera(turn, all_round=True)
+            scene.show(frame)
+            yield scene.picture()
+
+    if path.suffix.lower() == ".gif":
+        _write_gif(pictures(), path, fps)
+    else:
+        _write_mp4(pictures(), path, fps)
+    return len(steps)
+
+
+def _write_gif(pictures: Iterator[np.ndarray], path: Path, fps: float) -> None:
+    from PIL import Image
+
+    from warpdef.disk import replacing
+
+    images: list[Any] = []
+    for picture in pictures:
+        # One palette for all pictures: no flicker of colours between them.
+        palette = images[0] if images else None
+        image = Image.fromarray(picture)
+        images.append(image.quantize(255) if palette is None else image.quantize(255, palette=palette, dither=0))
+    # A .gif counts hundredths of a second; rounding the sum keeps the whole as long as it should be.
+    ticks = [round(100.0 * k / fps) for k in range(len(images) + 1)]
+    durations = [max(2, b - a) * 10 for a, b in zip(ticks, ticks[1:], strict=False)]
+    with replacing(path) as stream:
+        images[0].save(
+            stream, format="GIF", save_all=True, append_images=images[1:], duration=durations, loop=0, disposal=1
+        )
+
+
+def _write_mp4(pictures: Iterator[np.ndarray], path: Path, fps: float) -> None:
+    from warpdef.disk import reason, sibling
+
+    imageio = _require_ffmpeg()
+    temporary = sibling(path, "partial.mp4")
+    try:
+        # yuv420p is what browsers and players read; macro_block_size 2 keeps the size that was asked for.
+        with imageio.get_writer(temporary, format="FFMPEG", fps=fps, macro_block_size=2, quality=8) as writer:
+            for picture in pictures:
+                writer.append_data(picture)
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({reason(error)}); choose another place or free space") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _require_ffmpeg() -> Any:
+    try:
+        import imageio.v2 as imageio
+        import imageio_ffmpeg
+
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError) as error:
+        raise MissingPackageError(
+            f".mp4 needs imageio with ffmpeg ({error!s:.120}); install it: pip install 'warpdef[movie]', or write a .gif"
+        ) from error
+    return imageio

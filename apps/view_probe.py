@@ -1,0 +1,107 @@
+"""Whether this machine can draw, found out in a process of its own: VTK does not raise where it cannot, it crashes."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+
+from warpdef.errors import MissingPackageError
+
+PACKAGES = "libegl1 libgl1-mesa-dri"
+"""Debian's packages that make off-screen rendering work without a screen."""
+
+_LIBRARIES = {
+    "libGL.so": "libgl1",
+    "libEGL.so": "libegl1",
+    "libOpenGL.so": "libopengl0",
+    "libX11.so": "libx11-6",
+    "libXrender.so": "libxrender1",
+    "libXcursor.so": "libxcursor1",
+    "libXt.so": "libxt6",
+}
+
+_SECONDS = 120.0
+
+_PROGRAM = """
+import sys
+import pyvista
+window = sys.argv[1] == "window"
+plotter = pyvista.Plotter(off_screen=not window, window_size=[64, 64])
+plotter.background_color = "white"
+plotter.add_mesh(pyvista.Sphere(), color="black")
+if window:
+    plotter.show(interactive_update=True)
+    plotter.iren.process_events()
+picture = plotter.screenshot(return_img=True)
+plotter.close()
+sys.exit(0 if picture.min() < 128 < picture.max() else "nothing was drawn")
+"""
+
+
+class RenderingProbe:
+    """Starts the trial at once, so that it runs while data is read; ``require`` waits for its end."""
+
+    def __init__(self, window: bool) -> None:
+        """Raises ``MissingPackageError`` at once where a window is wanted and there is no screen."""
+        if window and sys.platform.startswith("linux") and not has_screen():
+            raise MissingPackageError(
+                "no screen for a window (DISPLAY is not set); use --screenshot FILE.png, --movie FILE.mp4 or "
+                "--html FILE.html, which need none"
+            )
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _PROGRAM, "window" if window else "picture"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+        )
+
+    def require(self) -> None:
+        """Return once the machine has shown that it can draw.
+
+        Raises:
+            MissingPackageError: it cannot; the message says why, what to install, and what works without.
+        """
+        try:
+            _, text = self._process.communicate(timeout=_SECONDS)
+            why = "" if self._process.returncode == 0 else _why(self._process.returncode, text)
+        except subprocess.TimeoutExpired:
+            why = f"no picture after {_SECONDS:.0f} s"
+        finally:
+            self.stop()
+        if why:
+            packages = " ".join(dict.fromkeys([*PACKAGES.split(), *_named_packages(why)]))
+            raise MissingPackageError(
+                f"this machine cannot draw ({why}); on Debian or Ubuntu: apt-get install {packages}; without it "
+                "`warpdef view OUT --html FILE.html` and `warpdef export` work"
+            )
+
+    def stop(self) -> None:
+        """End the trial if it still runs."""
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.communicate()
+
+
+def has_screen() -> bool:
+    """Whether an X server is named; VTK's Linux wheels draw windows by X only."""
+    return bool(os.environ.get("DISPLAY"))
+
+
+def _why(code: int, text: str) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    last = f": {lines[-1]:.160}" if lines else ""
+    if code >= 0:
+        return f"it ended with {code}{last}"
+    try:
+        return f"it was ended by {signal.Signals(-code).name}{last}"
+    except ValueError:
+        return f"it was ended by signal {-code}{last}"
+
+
+def _named_packages(text: str) -> list[str]:
+    return [_LIBRARIES[name] for name in re.findall(r"lib\w+\.so", text) if name in _LIBRARIES]

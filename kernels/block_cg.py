@@ -1,0 +1,281 @@
+"""Conjugate gradients for (A + beta I + alpha L) d = b with a 3x3 block A_i at every vertex of every frame.
+
+The blocks come from point-to-plane residuals, L = D - A_mesh from rigidity. Preconditioned by the inverse of each
+diagonal block A_i + (beta + alpha degree) I. Frames are independent systems over the same mesh. The CPU runs a frame
+in one thread and stops early; CUDA runs the same recurrence over all frames, one launch a phase, a fixed number of
+steps, a converged frame standing still. The operator is symmetric.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from warpdef.kernels.cg import ratio
+from warpdef.kernels.graphs import Graph
+from warpdef.kernels.launching import MODULE_OPTIONS, launch
+
+wp.set_module_options(MODULE_OPTIONS)
+
+
+@wp.func
+def diagonal_block(matrix: wp.mat33, degree: int, alpha: float, beta: float) -> wp.mat33:
+    return matrix + (beta + alpha * float(degree)) * wp.identity(n=3, dtype=wp.float32)
+
+
+@wp.func
+def apply_block_row(
+    t: int,
+    i: int,
+    alpha: float,
+    beta: float,
+    row: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    matrix: wp.array2d(dtype=wp.mat33),
+    x: wp.array2d(dtype=wp.vec3),
+) -> wp.vec3:
+    """Row i of frame t."""
+    begin = row[i]
+    end = row[i + 1]
+    total = diagonal_block(matrix[t, i], end - begin, alpha, beta) * x[t, i]
+    for k in range(begin, end):
+        total -= alpha * x[t, column[k]]
+    return total
+
+
+@wp.kernel
+def _solve_frames(
+    # In:
+    first_frame: int,
+    alpha: float,
+    beta: float,
+    row: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    matrix: wp.array2d(dtype=wp.mat33),
+    rhs: wp.array2d(dtype=wp.vec3),
+    tolerance: float,
+    iterations_max: int,
+    # Scratch:
+    inverse: wp.array2d(dtype=wp.mat33),
+    r: wp.array2d(dtype=wp.vec3),
+    p: wp.array2d(dtype=wp.vec3),
+    ap: wp.array2d(dtype=wp.vec3),
+    # Out:
+    solution_out: wp.array2d(dtype=wp.vec3),
+    iterations_out: wp.array(dtype=wp.int32),
+    residual_out: wp.array(dtype=wp.float32),
+):
+    """CPU: one thread a frame, from zero."""
+    t = first_frame + wp.tid()
+    count = rhs.shape[1]
+    b_sq = float(0.0)
+    rz = float(0.0)
+    for i in range(count):
+        b = rhs[t, i]
+        inverse[t, i] = wp.inverse(diagonal_block(matrix[t, i], row[i + 1] - row[i], alpha, beta))
+        z = inverse[t, i] * b
+        solution_out[t, i] = wp.vec3(0.0, 0.0, 0.0)
+        r[t, i] = b
+        p[t, i] = z
+        b_sq += wp.length_sq(b)
+        rz += wp.dot(b, z)
+    r_sq = b_sq
+    done = int(0)
+    while done < iterations_max and r_sq > tolerance * tolerance * b_sq:
+        p_ap = float(0.0)
+        for i in range(count):
+            v = apply_block_row(t, i, alpha, beta, row, column, matrix, p)
+            ap[t, i] = v
+            p_ap += wp.dot(p[t, i], v)
+        step = ratio(rz, p_ap)
+        r_sq = float(0.0)
+        next_rz = float(0.0)
+        for i in range(count):
+            solution_out[t, i] = solution_out[t, i] + step * p[t, i]
+            v = r[t, i] - step * ap[t, i]
+            r[t, i] = v
+            r_sq += wp.length_sq(v)
+            next_rz += wp.dot(v, inverse[t, i] * v)
+        turn = ratio(next_rz, rz)
+        for i in range(count):
+            p[t, i] = inverse[t, i] * r[t, i] + turn * p[t, i]
+        rz = next_rz
+        done = done + 1
+    iterations_out[t] = done
+    residual_out[t] = wp.sqrt(ratio(r_sq, b_sq))
+
+
+# The same in steps, for CUDA. sums[step, t] = (r . z, p . A p, |r|^2); sums[0, t] holds |b|^2 in its third.
+
+
+@wp.func
+def running(step: int, t: int, tolerance: float, sums: wp.array2d(dtype=wp.vec3)) -> bool:
+    return sums[step, t][2] > tolerance * tolerance * sums[0, t][2]
+
+
+@wp.kernel
+def _start(
+    alpha: float,
+    beta: float,
+    row: wp.array(dtype=wp.int32),
+    matrix: wp.array2d(dtype=wp.mat33),
+    rhs: wp.array2d(dtype=wp.vec3),
+    inverse_out: wp.array2d(dtype=wp.mat33),
+    r_out: wp.array2d(dtype=wp.vec3),
+    p_out: wp.array2d(dtype=wp.vec3),
+    solution_out: wp.array2d(dtype=wp.vec3),
+    sums: wp.array2d(dtype=wp.vec3),
+):
+    """One thread a vertex of a frame."""
+    t, i = wp.tid()
+    b = rhs[t, i]
+    inverse = wp.inverse(diagonal_block(matrix[t, i], row[i + 1] - row[i], alpha, beta))
+    z = inverse * b
+    inverse_out[t, i] = inverse
+    r_out[t, i] = b
+    p_out[t, i] = z
+    solution_out[t, i] = wp.vec3(0.0, 0.0, 0.0)
+    wp.atomic_add(sums, 0, t, wp.vec3(wp.dot(b, z), 0.0, wp.length_sq(b)))
+
+
+@wp.kernel
+def _multiply(
+    step: int,
+    tolerance: float,
+    alpha: float,
+    beta: float,
+    row: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    matrix: wp.array2d(dtype=wp.mat33),
+    p: wp.array2d(dtype=wp.vec3),
+    ap_out: wp.array2d(dtype=wp.vec3),
+    sums: wp.array2d(dtype=wp.vec3),
+):
+    """One thread a vertex of a frame."""
+    t, i = wp.tid()
+    if running(step, t, tolerance, sums):
+        v = apply_block_row(t, i, alpha, beta, row, column, matrix, p)
+        ap_out[t, i] = v
+        wp.atomic_add(sums, step, t, wp.vec3(0.0, wp.dot(p[t, i], v), 0.0))
+
+
+@wp.kernel
+def _update(
+    step: int,
+    tolerance: float,
+    inverse: wp.array2d(dtype=wp.mat33),
+    p: wp.array2d(dtype=wp.vec3),
+    ap: wp.array2d(dtype=wp.vec3),
+    r: wp.array2d(dtype=wp.vec3),
+    solution: wp.array2d(dtype=wp.vec3),
+    sums: wp.array2d(dtype=wp.vec3),
+):
+    """One thread a vertex of a frame."""
+    t, i = wp.tid()
+    if running(step, t, tolerance, sums):
+        s = sums[step, t]
+        length = ratio(s[0], s[1])
+        solution[t, i] = solution[t, i] + length * p[t, i]
+        v = r[t, i] - length * ap[t, i]
+        r[t, i] = v
+        wp.atomic_add(sums, step + 1, t, wp.vec3(wp.dot(v, inverse[t, i] * v), 0.0, wp.length_sq(v)))
+    elif i == 0:
+        sums[step + 1, t] = sums[step, t]
+
+
+@wp.kernel
+def _turn(
+    step: int,
+    tolerance: float,
+    inverse: wp.array2d(dtype=wp.mat33),
+    r: wp.array2d(dtype=wp.vec3),
+    sums: wp.array2d(dtype=wp.vec3),
+    p: wp.array2d(dtype=wp.vec3),
+):
+    """One thread a vertex of a frame."""
+    t, i = wp.tid()
+    if running(step, t, tolerance, sums):
+        p[t, i] = inverse[t, i] * r[t, i] + ratio(sums[step + 1, t][0], sums[step, t][0]) * p[t, i]
+
+
+@wp.kernel
+def _clear(sums: wp.array(dtype=wp.vec3)):
+    sums[wp.tid()] = wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.kernel
+def _report(
+    steps: int,
+    tolerance: float,
+    sums: wp.array2d(dtype=wp.vec3),
+    iterations_out: wp.array(dtype=wp.int32),
+    residual_out: wp.array(dtype=wp.float32),
+):
+    """One thread a frame."""
+    t = wp.tid()
+    done = int(0)
+    while done < steps and running(done, t, tolerance, sums):
+        done = done + 1
+    iterations_out[t] = done
+    residual_out[t] = wp.sqrt(ratio(sums[steps, t][2], sums[0, t][2]))
+
+
+class BlockSolver:
+    """Solves for the moves d of all vertices, frame by frame.
+
+    Args:
+        graph: the mesh. frame_count: T. tolerance: residual, relative to the right-hand side, to stop at.
+        iterations_max: steps after which a frame gives up and says so in ``iterations`` and ``residual``, shape (T,).
+        stepwise: one launch a phase over all frames, the way of CUDA; None: where the device is no CPU.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        frame_count: int,
+        tolerance: float,
+        iterations_max: int,
+        device: wp.Device,
+        stepwise: bool | None = None,
+    ) -> None:
+        shape = (frame_count, len(graph.node))
+        self._device = device
+        self._limits = (float(tolerance), int(iterations_max))
+        self._row = wp.array(graph.row, dtype=wp.int32, device=device)
+        self._column = wp.array(graph.column, dtype=wp.int32, device=device)
+        self._inverse = wp.zeros(shape, dtype=wp.mat33, device=device)
+        self._r, self._p, self._ap = (wp.zeros(shape, dtype=wp.vec3, device=device) for _ in range(3))
+        self.iterations = wp.zeros(frame_count, dtype=wp.int32, device=device)
+        self.residual = wp.zeros(frame_count, dtype=wp.float32, device=device)
+        self._stepwise = not device.is_cpu if stepwise is None else stepwise
+        steps = iterations_max + 1 if self._stepwise else 1
+        self._sums = wp.zeros((steps, frame_count), dtype=wp.vec3, device=device)
+
+    def solve(self, first: int, last: int, alpha: float, beta: float, matrix, rhs, solution_out) -> None:
+        """Solve frames ``first .. last`` (last excluded); stepwise all of them.
+
+        Args:
+            alpha: weight of L. beta: weight of I, above 0. matrix: shape (T, V) mat33, symmetric, semidefinite.
+            rhs, solution_out: shape (T, V) vec3.
+        """
+        if self._stepwise:
+            self._solve_stepwise(alpha, beta, matrix, rhs, solution_out)
+            return
+        system = [alpha, beta, self._row, self._column, matrix, rhs, *self._limits]
+        work = [self._inverse, self._r, self._p, self._ap]
+        results = [solution_out, self.iterations, self.residual]
+        launch(_solve_frames, last - first, [first, *system, *work, *results], self._device)
+
+    def _solve_stepwise(self, alpha: float, beta: float, matrix, rhs, solution_out) -> None:
+        device, shape, sums = self._device, rhs.shape, self._sums
+        tolerance, steps = self._limits
+        work = [self._r, self._p]
+        launch(_clear, int(np.prod(sums.shape)), [sums.flatten()], device)
+        launch(_start, shape, [alpha, beta, self._row, matrix, rhs, self._inverse, *work, solution_out, sums], device)
+        for step in range(steps):
+            system = [alpha, beta, self._row, self._column, matrix]
+            launch(_multiply, shape, [step, tolerance, *system, self._p, self._ap, sums], device)
+            moved = [self._inverse, self._p, self._ap, self._r, solution_out, sums]
+            launch(_update, shape, [step, tolerance, *moved], device)
+            launch(_turn, shape, [step, tolerance, self._inverse, self._r, sums, self._p], device)
+        launch(_report, shape[0], [steps, tolerance, sums, self.iterations, self.residual], device)

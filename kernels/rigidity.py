@@ -1,0 +1,115 @@
+"""Local rigidity: every vertex keeps its edges up to a rotation of its own (Sorkine and Alexa 2007, ARAP).
+
+    E = sum_t sum_(i,j) | (x_i,t - x_j,t) - (R_i,t + R_j,t)/2 (y_i - y_j) |^2
+
+over the edges of the mesh, with x the vertices of frame t, y one rest shape for all frames, R rotations. Each of the
+three unknowns has its own step: ``fit_rotations`` is the best R for x and y (by singular values); ``rigid_pull`` is
+minus half the gradient to x; ``rest_pull`` is minus half the gradient to y, at y = 0, over the number of frames.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from warpdef.kernels.launching import MODULE_OPTIONS, launch
+
+wp.set_module_options(MODULE_OPTIONS)
+
+
+@wp.func
+def nearest_rotation(s: wp.mat33) -> wp.mat33:
+    """The rotation R that maximises trace(R^T s); of a rank-2 matrix the third axis follows by handedness."""
+    u, sigma, v = wp.svd3(s)
+    turn = wp.determinant(u) * wp.determinant(v)
+    fix = wp.mat33(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, wp.sign(turn))
+    return u * fix * wp.transpose(v)
+
+
+@wp.kernel
+def _fit_rotations(
+    # In:
+    begin: int,
+    row: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    rest: wp.array(dtype=wp.vec3),
+    vertices: wp.array2d(dtype=wp.vec3),
+    # Out:
+    rotation_out: wp.array2d(dtype=wp.mat33),
+):
+    """One thread a vertex of a frame."""
+    k = begin + wp.tid()
+    t = k // rest.shape[0]
+    i = k - t * rest.shape[0]
+    s = wp.mat33()
+    for e in range(row[i], row[i + 1]):
+        j = column[e]
+        s += wp.outer(vertices[t, i] - vertices[t, j], rest[i] - rest[j])
+    rotation_out[t, i] = nearest_rotation(s)
+
+
+@wp.kernel
+def _rigid_pull(
+    # In:
+    begin: int,
+    weight: float,
+    row: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    rest: wp.array(dtype=wp.vec3),
+    rotation: wp.array2d(dtype=wp.mat33),
+    vertices: wp.array2d(dtype=wp.vec3),
+    # Out, added to:
+    pull_out: wp.array2d(dtype=wp.vec3),
+):
+    """One thread a vertex of a frame."""
+    k = begin + wp.tid()
+    t = k // rest.shape[0]
+    i = k - t * rest.shape[0]
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for e in range(row[i], row[i + 1]):
+        j = column[e]
+        turned = 0.5 * ((rotation[t, i] + rotation[t, j]) * (rest[i] - rest[j]))
+        total += turned - (vertices[t, i] - vertices[t, j])
+    pull_out[t, i] = pull_out[t, i] + weight * total
+
+
+@wp.kernel
+def _rest_pull(
+    # In:
+    begin: int,
+    row: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    rotation: wp.array2d(dtype=wp.mat33),
+    vertices: wp.array2d(dtype=wp.vec3),
+    # Out:
+    pull_out: wp.array(dtype=wp.vec3),
+):
+    """One thread a vertex: what all frames, turned back, say of its edges."""
+    i = begin + wp.tid()
+    frames = vertices.shape[0]
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for t in range(frames):
+        for e in range(row[i], row[i + 1]):
+            j = column[e]
+            d = vertices[t, i] - vertices[t, j]
+            total += 0.5 * (wp.transpose(rotation[t, i] + rotation[t, j]) * d)
+    pull_out[i] = total / float(frames)
+
+
+def fit_rotations(begin, count, row, column, rest, vertices, rotation_out):
+    """Best rotation of ``count`` vertices from ``begin``, counted over all frames (frame t owns V of them).
+
+    Args:
+        row, column: neighbours, as in ``Graph``. rest: shape (V,) vec3. vertices: shape (T, V) vec3.
+        rotation_out: shape (T, V) mat33.
+    """
+    launch(_fit_rotations, count, [begin, row, column, rest, vertices, rotation_out], vertices.device)
+
+
+def rigid_pull(begin, count, weight, row, column, rest, rotation, vertices, pull_out):
+    """Add ``weight`` times minus half the gradient to the vertices; shapes as in ``fit_rotations``."""
+    launch(_rigid_pull, count, [begin, weight, row, column, rest, rotation, vertices, pull_out], vertices.device)
+
+
+def rest_pull(begin, count, row, column, rotation, vertices, pull_out):
+    """Right-hand side of L y = pull for the best rest shape, vertices ``begin .. begin + count``; shape (V,) vec3."""
+    launch(_rest_pull, count, [begin, row, column, rotation, vertices, pull_out], vertices.device)

@@ -1,0 +1,66 @@
+"""Every kernel compiles for a CUDA device (sm_90), without one: NVRTC comes with Warp."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+import warpdef.kernels
+from warpdef.kernels import cg
+from warpdef.kernels.levels import node8
+
+ARCHITECTURE = 90
+
+
+def modules_with_kernels() -> dict[str, wp.Module]:
+    """Warp modules of all files in the kernels folder, and the unique ones of single kernels."""
+    found = {}
+    for info in pkgutil.iter_modules(warpdef.kernels.__path__):
+        name = f"warpdef.kernels.{info.name}"
+        importlib.import_module(name)
+        module = wp.get_module(name)
+        if module.kernels:
+            found[info.name] = module
+    for dtype, label in ((wp.vec3, "vec3"), (node8, "node8")):
+        for name, kernel in cg._KERNELS[dtype].items():
+            found[f"cg-{name}-{label}"] = kernel.module
+    return found
+
+
+def compile_for_cuda(module: wp.Module, folder: Path) -> Path:
+    (binary,) = wp.compile_aot_module(module, arch=ARCHITECTURE, module_dir=folder, use_ptx=False)
+    return binary
+
+
+@pytest.mark.parametrize("name", sorted(modules_with_kernels()))
+def test_it_compiles(name: str, tmp_path: Path) -> None:
+    binary = compile_for_cuda(modules_with_kernels()[name], tmp_path)
+    assert binary.suffix == ".cubin" and binary.stat().st_size > 1000
+
+
+def test_no_file_with_kernels_is_missed() -> None:
+    """The folder's own text is the witness: whoever says wp.kernel is on the list."""
+    folder = Path(warpdef.kernels.__path__[0])
+    files = {path.stem for path in folder.glob("*.py") if "@wp.kernel" in path.read_text(encoding="utf-8")}
+    assert files == {name.split("-")[0] for name in modules_with_kernels()}
+
+
+def test_our_adjoints_are_written_by_hand() -> None:
+    """Warp's automatic ones would multiply the compile time for nothing."""
+    assert [n for n, m in modules_with_kernels().items() if m.options["enable_backward"]] == []
+
+
+def test_what_does_not_compile_fails(tmp_path: Path) -> None:
+    @wp.func_native("return no_such_thing;")
+    def broken() -> float: ...
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def use_it(out: wp.array(dtype=wp.float32)):
+        out[wp.tid()] = broken()
+
+    with pytest.raises(Exception, match="(?i)cuda kernel build failed|nvrtc|compil"):
+        compile_for_cuda(use_it.module, tmp_path)

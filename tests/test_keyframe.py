@@ -1,0 +1,65 @@
+"""Keyframe ranking: coverage, the temporal middle, and the user's word."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from warpdef.config import KeyframeConfig
+from warpdef.errors import InputError
+from warpdef.keyframe import occupied_voxels, rank_keyframes
+
+
+def clouds_of(counts: list[int]) -> list[np.ndarray]:
+    """Clouds that occupy exactly so many voxels of 8^3, one point each."""
+    cells = np.stack(np.unravel_index(np.arange(512), (8, 8, 8)), axis=1)
+    return [(cells[:count] + 0.5) / 4 - 1 for count in counts]
+
+
+def test_occupied_voxels_counts_each_cell_once_and_keeps_the_border_inside():
+    points = np.array([[-1.0, -1, -1], [-0.9, -0.9, -0.9], [1.0, 1, 1], [0.99, 0.99, 0.99], [1.2, 0.99, 0.99]])
+    assert occupied_voxels(points, 8) == 2
+    assert occupied_voxels(points, 1) == 1
+
+
+def test_occupied_voxels_matches_brute_force(rng):
+    points = rng.uniform(-1, 1, (500, 3))
+    cells = {tuple(np.floor((p + 1) * 4).astype(int)) for p in points}
+    assert occupied_voxels(points, 8) == len(cells)
+
+
+def test_most_covered_frame_wins_without_a_weight():
+    ranked = rank_keyframes(clouds_of([10, 40, 20, 30]), KeyframeConfig(voxels=8, gamma=0))
+    assert [c.frame for c in ranked] == [1, 3, 2, 0]
+    assert [c.occupied_voxels for c in ranked] == [40, 30, 20, 10]
+
+
+def test_the_gaussian_is_centred_on_half_the_last_frame_index():
+    ranked = rank_keyframes(clouds_of([10] * 5), KeyframeConfig(voxels=8, gamma=0.1))
+    assert [c.frame for c in ranked] == [2, 1, 3, 0, 4]
+    weight = {c.frame: c.weight for c in ranked}
+    assert weight[2] == 1.0
+    assert weight[0] == weight[4] == pytest.approx(np.exp(-0.1 * 4))
+    assert all(c.score == c.occupied_voxels * c.weight for c in ranked)
+
+
+def test_the_middle_beats_better_coverage_only_when_gamma_says_so():
+    clouds = clouds_of([10, 10, 10, 10, 12])
+    assert rank_keyframes(clouds, KeyframeConfig(voxels=8, gamma=0.001))[0].frame == 4
+    assert rank_keyframes(clouds, KeyframeConfig(voxels=8, gamma=0.1))[0].frame == 2
+
+
+@pytest.mark.parametrize(("choice", "frame"), [("first", 0), ("middle", 2), ("4", 4), ("0", 0)])
+def test_the_users_frame_is_the_only_candidate(choice, frame):
+    ranked = rank_keyframes(clouds_of([10, 90, 10, 10, 10]), KeyframeConfig(choice=choice, voxels=8))
+    assert [c.frame for c in ranked] == [frame]
+    assert ranked[0].why
+
+
+def test_the_middle_of_an_even_number_of_frames_is_the_earlier_one():
+    assert rank_keyframes(clouds_of([10] * 4), KeyframeConfig(choice="middle", voxels=8))[0].frame == 1
+
+
+def test_an_index_beyond_the_sequence_names_the_range():
+    with pytest.raises(InputError, match=r"0\.\.4, got 5"):
+        rank_keyframes(clouds_of([10] * 5), KeyframeConfig(choice="5", voxels=8))

@@ -1,0 +1,264 @@
+"""The template: built on both backends, gated, chosen among frames, or taken from the user."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import icosphere
+
+from warpdef import poisson, template, topology
+from warpdef.config import Config, KeyframeConfig, TemplateConfig
+from warpdef.errors import InputError, MissingPackageError
+from warpdef.mesh import TriMesh
+
+SMALL = TemplateConfig(faces_max=1500)
+
+
+@pytest.fixture(params=["gpytoolbox", "pymeshlab"])
+def backend(request) -> poisson.Backend:
+    try:
+        return poisson.load_backend(request.param)
+    except MissingPackageError as missing:
+        pytest.skip(str(missing))
+
+
+def ball(rng: np.random.Generator, count: int = 600, axes=(0.9, 0.6, 0.5)) -> tuple[np.ndarray, np.ndarray]:
+    """An ellipsoid's points and outward normals."""
+    x = rng.normal(size=(count, 3))
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    normals = x / np.array(axes)
+    return x * np.array(axes), normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def cap(rng: np.random.Generator, count: int = 600) -> np.ndarray:
+    """An open bowl."""
+    x = rng.uniform(-0.9, 0.9, (count, 2))
+    return np.column_stack([x, 0.3 * (x**2).sum(axis=1)])
+
+
+def config(**options) -> Config:
+    """A small template; options of the keyframe by ``choice``, the rest of the template."""
+    choice = options.pop("choice", "auto")
+    return Config(keyframe=KeyframeConfig(choice=choice), template=replace(SMALL, **options))
+
+
+# --- building ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_a_ball_becomes_a_closed_even_outward_mesh_on_its_points(backend, rng, given):
+    points, normals = ball(rng)
+    built = template.build(points, normals if given else None, SMALL, backend)
+    vertices, faces = built.mesh.vertices, built.mesh.faces
+    assert topology.is_watertight(faces)
+    assert topology.euler_number(faces) == 2
+    assert topology.signed_volume(vertices, faces) == pytest.approx(4 / 3 * np.pi * 0.9 * 0.6 * 0.5, rel=0.05)
+    assert len(np.unique(faces)) == len(vertices)
+    assert topology.face_areas(vertices, faces).min() > 0
+    assert 0.9 * 1500 <= len(faces) <= 1500
+    assert topology.triangle_quality(vertices, faces) > 0.9
+    assert np.abs((vertices / [0.9, 0.6, 0.5]) ** 2 @ np.ones(3) - 1).max() < 0.1
+    assert built.report.normals == ("given" if given else "estimated")
+    assert built.report.backend == backend.name
+    assert built.warnings == []
+
+
+def test_faces_follow_the_points_below_the_bound(backend, rng):
+    points, normals = ball(rng, 400)
+    built = template.build(points, normals, TemplateConfig(faces_per_point=2.0), backend)
+    assert built.report.faces_target == 800
+    assert 0.9 * 800 <= len(built.mesh.faces) <= 800
+
+
+def test_the_same_cloud_gives_the_same_bytes_and_nothing_is_printed(backend, rng, capfd):
+    points, _ = ball(rng)
+    one, two = (template.build(points.copy(), None, SMALL, backend).mesh for _ in range(2))
+    assert one.vertices.tobytes() == two.vertices.tobytes()
+    assert one.faces.tobytes() == two.faces.tobytes()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_units_and_place_do_not_matter(rng):
+    points, normals = ball(rng)
+    near = template.build(points, normals, SMALL)
+    far = template.build(points * 1000.0 + 5000.0, normals, SMALL)
+    assert near.report.depth == far.report.depth
+    volume = topology.signed_volume(near.mesh.vertices, near.mesh.faces)
+    assert topology.signed_volume(far.mesh.vertices, far.mesh.faces) == pytest.approx(volume * 1e9, rel=1e-3)
+    assert far.report.edge_length == pytest.approx(near.report.edge_length * 1000, rel=1e-3)
+
+
+def test_inverted_normals_are_turned_over_and_told(rng):
+    points, normals = ball(rng)
+    built = template.build(points, -normals, SMALL)
+    assert topology.signed_volume(built.mesh.vertices, built.mesh.faces) > 0
+    assert built.report.flipped == len(points)
+    assert "600 of 600 given normals pointed inwards" in built.warnings[0]
+
+
+def test_a_second_body_is_left_out_and_told(rng):
+    points, normals = ball(rng, 800, (0.3, 0.3, 0.3))
+    small = points[:400] * 0.6 + [0.7, 0, 0]
+    built = template.build(np.concatenate([points, small]), np.concatenate([normals, normals[:400]]), SMALL)
+    assert topology.face_components(built.mesh.faces).max() == 0
+    assert built.mesh.vertices[:, 0].max() < 0.45
+    assert "separate pieces" in built.warnings[0]
+    assert 0.1 < built.report.left_out < 0.5
+
+
+def test_depth_follows_the_spacing_and_an_explicit_depth_is_kept(rng):
+    sparse, dense = ball(rng, 500)[0], ball(rng, 8000)[0]
+    assert template.depth_by_spacing(dense) == template.depth_by_spacing(sparse) + 2
+    assert template.build(*ball(rng), replace(SMALL, depth=5)).report.depth == 5
+
+
+def test_a_cloud_on_a_line_is_an_input_error(rng):
+    line = np.column_stack([np.linspace(-1, 1, 50), np.zeros(50), np.zeros(50)])
+    broken = poisson.Backend("none", lambda *_: (np.zeros((0, 3)), np.zeros((0, 3), np.int32)), lambda *_: None)
+    with pytest.raises(InputError, match="does not look like a closed surface"):
+        template.build(line, None, SMALL, broken)
+
+
+def flat_mesh(*_):
+    return np.zeros((6, 3)), np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]], np.int32)
+
+
+def test_a_surface_without_area_is_an_input_error(rng):
+    with pytest.raises(InputError, match="no area"):
+        template.build(ball(rng)[0], None, SMALL, poisson.Backend("none", flat_mesh, flat_mesh))
+
+
+def test_a_failing_remesh_is_an_input_error(rng):
+    sphere = icosphere(2)
+
+    def refuse(*_):
+        raise ValueError("Input mesh is non-manifold.")
+
+    with pytest.raises(InputError, match="cannot be remeshed .*non-manifold"):
+        template.build(ball(rng)[0], None, SMALL, poisson.Backend("none", lambda *_: sphere, refuse))
+    nothing = poisson.Backend("none", lambda *_: sphere, lambda *_: (np.zeros((0, 3)), np.zeros((0, 3), np.int32)))
+    with pytest.raises(InputError, match="lost the surface"):
+        template.build(ball(rng)[0], None, SMALL, nothing)
+
+
+def test_an_inside_out_surface_is_turned(rng):
+    vertices, faces = icosphere(2)
+    inside_out = poisson.Backend("none", lambda *_: (vertices, faces[:, ::-1]), lambda v, f, h: (v, f))
+    built = template.build(ball(rng)[0], None, SMALL, inside_out)
+    assert topology.signed_volume(built.mesh.vertices, built.mesh.faces) > 0
+
+
+# --- choosing ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_first_candidate_that_passes_is_taken_without_a_warning(rng):
+    clouds = [ball(rng)[0] for _ in range(3)]
+    chosen = template.choose_template(clouds, [None] * 3, config())
+    assert chosen.gate.passed and chosen.warnings == []
+    assert "occupied voxels" in chosen.why
+
+
+def test_an_open_best_frame_is_passed_over_and_told(rng):
+    clouds = [ball(rng, 400)[0], cap(rng, 900), ball(rng, 400)[0]]
+    chosen = template.choose_template(clouds, [None] * 3, config())
+    assert chosen.keyframe in (0, 2) and chosen.gate.passed
+    assert len(chosen.warnings) == 1
+    assert "keyframe 1 failed the template gate: " in chosen.warnings[0]
+    assert f"of its surface is far from every point; trying frame {chosen.keyframe}" in chosen.warnings[0]
+
+
+def test_when_none_passes_the_best_is_used_with_a_warning(rng):
+    clouds = [cap(rng) for _ in range(3)]
+    chosen = template.choose_template(clouds, [None] * 3, config(attempts=2))
+    assert not chosen.gate.passed
+    assert len(chosen.warnings) == 3
+    assert "no keyframe passed the template gate" in chosen.warnings[-1]
+    assert f"frame {chosen.keyframe}" in chosen.warnings[-1]
+    assert "an open or partly seen surface" in chosen.warnings[-1]
+
+
+def test_a_lost_limb_is_told_as_such(rng):
+    body, limb = ball(rng, 800)[0], ball(rng, 100, (0.1, 0.1, 0.1))[0] + [0, 0.9, 0]
+    chosen = template.choose_template([np.concatenate([body, limb])] * 2, [None] * 2, config(choice="first"))
+    assert not chosen.gate.passed
+    assert "points are far from its surface; a thin limb may be lost" in chosen.warnings[-1]
+
+
+def test_the_users_frame_is_not_replaced(rng):
+    clouds = [ball(rng)[0], cap(rng), ball(rng)[0]]
+    chosen = template.choose_template(clouds, [None] * 3, config(choice="1"))
+    assert chosen.keyframe == 1
+    assert "no keyframe passed" in chosen.warnings[-1]
+
+
+def test_useless_given_normals_give_way_to_estimated_ones(rng):
+    points, _ = ball(rng, 1500)
+    useless = rng.normal(size=points.shape)
+    useless /= np.linalg.norm(useless, axis=1, keepdims=True)
+    strict = config(choice="0", far_share_max=0.0, missed_share_max=0.0, far_spacings=2.0)
+    chosen = template.choose_template([points, points], [useless, None], strict)
+    assert "trying estimated normals" in chosen.warnings[0]
+    assert chosen.report.normals == "estimated"
+
+
+def test_frames_that_yield_nothing_end_in_an_input_error(rng, monkeypatch):
+    nothing = poisson.Backend("none", lambda *_: (np.zeros((0, 3)), np.zeros((0, 3), np.int32)), lambda *_: None)
+    monkeypatch.setattr(template, "load_backend", lambda name: nothing)
+    clouds = [ball(rng)[0] for _ in range(2)]
+    with pytest.raises(InputError, match="no template: keyframe .*give a mesh of your own"):
+        template.choose_template(clouds, [None, None], config())
+
+
+# --- a mesh of the user's own -----------------------------------------------------------------------------------------
+
+
+def test_a_users_mesh_is_kept_as_it_is_and_finds_its_frame(rng):
+    vertices, faces = icosphere(3)
+    order = rng.permutation(len(vertices))
+    mesh = TriMesh(vertices[order] * [0.9, 0.6, 0.5], np.argsort(order)[faces])
+    clouds = [ball(rng)[0] + [shift, 0, 0] for shift in (-0.2, -0.1, 0.0, 0.1)]
+    chosen = template.accept_user_template(mesh, clouds, config())
+    assert chosen.mesh is mesh
+    assert chosen.keyframe == 2
+    assert "taking frame 2" in chosen.warnings[0] and len(chosen.warnings) == 1
+    assert chosen.report.backend == "user"
+
+
+def test_a_users_keyframe_is_taken_without_a_word(rng):
+    vertices, faces = icosphere(3)
+    mesh = TriMesh(vertices * [0.9, 0.6, 0.5], faces)
+    chosen = template.accept_user_template(mesh, [ball(rng)[0]] * 3, config(choice="1"))
+    assert chosen.keyframe == 1 and chosen.warnings == []
+
+
+def test_an_open_users_mesh_is_accepted_with_a_warning(rng):
+    vertices, faces = icosphere(3)
+    faces = faces[vertices[faces].mean(axis=1)[:, 2] > 0]
+    mesh = TriMesh(vertices * [0.9, 0.6, 0.5], faces)
+    points = ball(rng, 2000)[0]
+    chosen = template.accept_user_template(mesh, [points[points[:, 2] > 0]] * 2, config(choice="first"))
+    assert chosen.mesh is mesh
+    assert any("not watertight" in w for w in chosen.warnings)
+    assert any("belong to no face" in w for w in chosen.warnings)
+
+
+def test_a_users_mesh_without_area_or_with_a_wrong_keyframe_is_refused(rng):
+    clouds = [ball(rng)[0]] * 2
+    with pytest.raises(InputError, match="--template: expected a surface with an area above 0"):
+        template.accept_user_template(TriMesh(np.zeros((3, 3)), np.array([[0, 1, 2]])), clouds, config())
+    with pytest.raises(InputError, match=r"0\.\.1, got 7"):
+        template.accept_user_template(TriMesh(*icosphere(1)), clouds, config(choice="7"))
+
+
+# --- real data --------------------------------------------------------------------------------------------------------
+
+
+def test_a_captured_person_gets_a_template(shared_data):
+    data = np.load(shared_data / "crane_clouds" / "points.npz")
+    clouds, normals = data["points"].astype(float)[6:9], data["normals"].astype(float)[6:9]
+    chosen = template.choose_template(list(clouds), list(normals), Config())
+    assert chosen.gate.passed, chosen.gate.failures
+    assert 18_000 <= chosen.gate.faces <= 20_000
+    assert chosen.gate.quality > 0.9

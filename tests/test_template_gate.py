@@ -1,0 +1,57 @@
+"""The quality gate: a good mesh passes, and each fault is found and named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from synthetic import icosphere
+
+from warpdef import quality
+from warpdef.config import TemplateConfig
+from warpdef.mesh import TriMesh
+
+
+def gate_of(vertices, faces, points) -> quality.GateReport:
+    return quality.judge(TriMesh(vertices, faces), points, TemplateConfig(), seed=0)
+
+
+@pytest.fixture
+def dense_sphere(rng) -> np.ndarray:
+    x = rng.normal(size=(3000, 3))
+    return x / np.linalg.norm(x, axis=1, keepdims=True)
+
+
+def test_the_gate_passes_a_good_mesh(dense_sphere):
+    gate = gate_of(*icosphere(4), dense_sphere)
+    assert gate.passed and gate.failures == ()
+    assert (gate.watertight, gate.components, gate.euler) == (True, 1, 2)
+    assert gate.volume == pytest.approx(4 / 3 * np.pi, rel=0.02)
+    assert gate.score == gate.far_share == gate.missed_share == 0
+    assert gate.as_dict()["passed"] is True
+
+
+def test_the_gate_finds_each_fault(dense_sphere):
+    vertices, faces = icosphere(4)
+    half = dense_sphere[dense_sphere[:, 2] > 0]
+    count = len(vertices)
+    faults = {
+        "not watertight": gate_of(vertices, faces[1:], dense_sphere),
+        "inside out": gate_of(vertices, faces[:, ::-1], dense_sphere),
+        "2 pieces": gate_of(
+            np.concatenate([vertices, vertices * 1.01]), np.concatenate([faces, faces + count]), dense_sphere
+        ),
+        "surface is far from every point": gate_of(vertices, faces, half),
+        "points are far from its surface": gate_of(
+            vertices, faces, np.concatenate([dense_sphere, dense_sphere[:200] * 2])
+        ),
+    }
+    for words, gate in faults.items():
+        assert not gate.passed
+        assert any(words in failure for failure in gate.failures), (words, gate.failures)
+        assert gate.score > 0.02
+    assert 0.3 < faults["surface is far from every point"].far_share < 0.5
+
+
+def test_a_mesh_without_area_is_far_everywhere(dense_sphere):
+    gate = gate_of(np.zeros((4, 3)), np.array([[0, 1, 2], [0, 2, 3]]), dense_sphere)
+    assert gate.far_share == gate.missed_share == 1.0
