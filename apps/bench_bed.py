@@ -112,9 +112,7 @@ class Bed:
     def _gradient(self) -> np.ndarray:
         p, o = self.problem, self.objective
         out = wp.zeros_like(self.nodes)
-        adj_move_points(
-            0, len(o.moved), self.levels, p.origin, p.moved_transition, o.moved_rotation, o.adj_moved, out
-        )
+        adj_move_points(0, len(o.moved), self.levels, p.origin, p.moved_transition, o.moved_rotation, o.adj_moved, out)
         for s, source in enumerate(p.transitions.source):
             scatter_vertices(0, p.vertex_count, s, int(source), self.levels, o.vertices, o.adj_motion, out)
         return out.numpy()

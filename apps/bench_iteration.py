@@ -64,15 +64,20 @@ class ProfilingTeam(Team):
                 for command in commands:
                     before = time.perf_counter()
                     command.launch()
-                    self.kernels[self._phase, command.kernel.key] += time.perf_counter() - before
+                    self.kernels[self._phase, kernel_name(command)] += time.perf_counter() - before
         self.phases[-1].append(time.perf_counter() - start)
         self._phase += 1
+
+
+def kernel_name(command: wp.Launch) -> str:
+    """The kernel's own name, without the function that made it."""
+    return command.kernel.key.split("__locals__")[-1].strip("_")
 
 
 class TreeWork:
     """The nearest-neighbour work of an iteration, by cKDTree."""
 
-    def __init__(self, objective: Objective, workers: int) -> None:
+    def __init__(self, objective: Objective, workers: tuple[int, ...]) -> None:
         from scipy.spatial import cKDTree
 
         p = objective.problem
@@ -80,36 +85,47 @@ class TreeWork:
         self._clouds = np.split(p.cloud.numpy(), p.cloud_first[1:-1])
         self._targets = [int(t) for t in p.transitions.target]
         self._static = [cKDTree(c) for c in self._clouds]
-        self.build: list[float] = []
-        self.query: list[float] = []
-        self.worst = 0.0
+        self._build: dict[int, list[float]] = {w: [] for w in workers}
+        self._query: dict[int, list[float]] = {w: [] for w in workers}
         self._options: dict | None = None
+        self.worst = 0.0
+        self.runs = 0
+
+    def build(self, workers: int) -> float:
+        """Mean seconds of building."""
+        return float(np.mean(self._build[workers]))
+
+    def query(self, workers: int) -> float:
+        """Mean seconds of all queries."""
+        return float(np.mean(self._query[workers]))
 
     def run(self) -> None:
-        """Do the last iteration's work once; notes seconds, and the worst difference of a distance from ours."""
+        """Do the last iteration's work once for each number of workers; notes the worst difference of a distance."""
         p, o = self._objective.problem, self._objective
         moved = np.split(o.moved.numpy(), p.moved_first[1:-1])
         vertices = list(o.vertices.numpy())
         if self._options is None:
             # The peer is given whichever way of building answers sooner.
             ways = ({}, {"balanced_tree": False, "compact_nodes": False})
-            self._options = min(ways, key=lambda way: sum(self._once(moved, vertices, way)[:2]))
-        build, query, distances = self._once(moved, vertices, self._options)
-        self.build.append(build)
-        self.query.append(query)
-        self.worst = max(self.worst, self._compare(distances))
+            most = max(self._workers)
+            self._options = min(ways, key=lambda way: sum(self._once(moved, vertices, way, most)[:2]))
+        for workers in self._workers:
+            build, query, distances = self._once(moved, vertices, self._options, workers)
+            self._build[workers].append(build)
+            self._query[workers].append(query)
+            self.worst = max(self.worst, self._compare(distances))
+        self.runs += 1
 
     @property
     def built(self) -> str:
         """Which way of building was taken."""
         return "default" if not self._options else ", ".join(f"{k}={v}" for k, v in self._options.items())
 
-    def _once(self, moved: list, vertices: list, options: dict) -> tuple[float, float, list[np.ndarray]]:
+    def _once(self, moved: list, vertices: list, options: dict, w: int) -> tuple[float, float, list[np.ndarray]]:
         start = time.perf_counter()
         moved_trees = [self._tree(m, **options) for m in moved]
         vertex_trees = [self._tree(v, **options) for v in vertices]
         built = time.perf_counter()
-        w = self._workers
         found = [
             [self._static[t].query(m, workers=w) for m, t in zip(moved, self._targets, strict=True)],
             [tree.query(self._clouds[t], workers=w) for tree, t in zip(moved_trees, self._targets, strict=True)],
@@ -138,8 +154,8 @@ def _lengths(queries: np.ndarray, targets: np.ndarray, index: np.ndarray) -> np.
     return np.linalg.norm(queries.astype(np.float64) - targets[index], axis=1)
 
 
-def descend(work: Work, size: Size, device: wp.Device, threads: int) -> dict:
-    """Run a whole descent and take its times.
+def descend(work: Work, size: Size, device: wp.Device, threads: int, tree_workers: int) -> dict:
+    """Run a whole descent and take its times; cKDTree has its turns with 1 and with ``tree_workers`` workers.
 
     Returns:
         ``full`` and ``warmup``: Timing of an iteration; ``total_s``; ``elements``: points and vertices moved in one;
@@ -152,7 +168,7 @@ def descend(work: Work, size: Size, device: wp.Device, threads: int) -> dict:
     with closing(ProfilingTeam(threads)) as team:
         optimiser = Optimiser(problem, size.iterations, team)
         optimiser.prepare()
-        trees = TreeWork(optimiser.objective, threads)
+        trees = TreeWork(optimiser.objective, tuple(sorted({1, tree_workers})))
         names = ["advance", *(phase.name for phase in optimiser.objective.phases(False)), "descend"]
         for count, stop in _runs(size):
             watched = device.is_cpu and stop == "profile"
@@ -213,33 +229,56 @@ def _by_phase(names: list[str], phases: list[list[float]]) -> dict[str, float]:
     return {_name(names, k): 1e3 * float(np.mean(column)) for k, column in enumerate(zip(*phases, strict=True))}
 
 
+def kernel_milliseconds_cuda(work: Work, size: Size, device: wp.Device) -> dict[str, float]:
+    """Milliseconds of an iteration by kernel on CUDA, from its own timers, without a graph; empty on the CPU."""
+    if not device.is_cuda:
+        return {}
+    problem = bench_problem(work, bench_config(size), device)
+    seconds: dict[str, float] = defaultdict(float)
+    with closing(Team(1)) as team:
+        optimiser = Optimiser(problem, size.iterations, team, capture=False)
+        while optimiser.done < size.iterations // 4 + size.warmup:
+            optimiser.step()
+        wp.synchronize_device(device)
+        wp.timing_begin(cuda_filter=wp.TIMING_KERNEL)
+        for _ in range(_PROFILED):
+            optimiser.step()
+        for result in wp.timing_end():
+            seconds[result.name] += result.elapsed / _PROFILED
+    return dict(seconds)
+
+
 def iteration_rows(results: dict, size: Size, threads: int) -> list[dict]:
     """The descent as rows of the table."""
     rows = []
     for name, timing in (("iteration", results["full"]), ("iteration, warm-up", results["warmup"])):
         if timing is not None:
             rate = 1e-6 * results["elements"] / timing.median
-            base = {"name": name, "size": size.name, "threads": threads, "unit": "points", "elements": results["elements"]}
-            rows.append({**base, **timing.to_json(), "melements_per_s": rate, "peers": [], "error": None})
+            key = {"name": name, "size": size.name, "threads": threads}
+            work = {"unit": "points", "elements": results["elements"], "melements_per_s": rate}
+            rows.append({**key, **work, **timing.to_json(), "peers": [], "error": None})
     return rows
 
 
-def ratio_entry(results: dict, size: Size, threads: int) -> dict:
-    """One full iteration against cKDTree for its neighbours."""
+def ratio_entry(results: dict, size: Size, threads: int, tree_workers: int) -> dict:
+    """One full iteration against cKDTree for its neighbours, with as many workers, and against its best."""
     trees, mean = results["trees"], results["full"].mean
-    theirs = float(np.mean(trees.build) + np.mean(trees.query))
+    build, query = trees.build(tree_workers), trees.query(tree_workers)
+    best = min(trees.build(w) + trees.query(w) for w in {1, tree_workers})
     agrees = trees.worst <= _DISTANCE_TOLERANCE
     error = f"neighbours: a distance differs from cKDTree's by {trees.worst:.1e} of it"
     return {
         "size": size.name,
         "threads": threads,
+        "workers": tree_workers,
         "iteration_ms": 1e3 * mean,
-        "ckdtree_ms": 1e3 * theirs,
-        "ckdtree_build_ms": 1e3 * float(np.mean(trees.build)),
-        "ckdtree_query_ms": 1e3 * float(np.mean(trees.query)),
+        "ckdtree_ms": 1e3 * (build + query),
+        "ckdtree_build_ms": 1e3 * build,
+        "ckdtree_query_ms": 1e3 * query,
         "ckdtree_built": trees.built,
-        "ratio": mean / theirs,
-        "checkpoints": len(trees.build),
+        "ratio": mean / (build + query),
+        "ratio_best": mean / best,
+        "checkpoints": trees.runs,
         "difference": trees.worst,
         "error": None if agrees else error,
     }

@@ -1,4 +1,4 @@
-"""Kernels that only the bench needs: single device functions on their own, and a measure of the machine's arithmetic."""
+"""Kernels that only the bench needs: single device functions on their own, and a measure of arithmetic speed."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def multiply_adds(rounds: int, x: float, y: float) -> float: ...
 
 @wp.kernel
 def _multiply_adds(rounds: int, x: float, y: float, out: wp.array(dtype=wp.float32)):
-    """One thread an entry: FLOPS_PER_ROUND operations a round, in registers eight floats wide as all kernels here use."""
+    """One thread an entry: FLOPS_PER_ROUND operations a round, in registers of eight floats as all kernels use."""
     out[wp.tid()] = multiply_adds(rounds, x, y)
 
 

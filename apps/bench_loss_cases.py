@@ -57,10 +57,10 @@ def _chamfer(bed: Bed) -> list[Case]:
         energy, pull = chamfer_numpy(x[at_vertex], cloud, normals, robust, 0.5)
         return add_rows(at_vertex, pull, len(x)), energy.sum(dtype=np.float64)
 
-    met = 2 * _POINT + 2 * _INDEX  # of the other set, its normal, slot and neighbour
+    met = 2 * _POINT + 2 * _INDEX  # a point and a vector, slot and neighbour
     return [
         Case(
-            "Chamfer, vertices to cloud", "points", len(x), len(x) * (2 * _POINT + 2 * _INDEX) + len(cloud) * 2 * _POINT,
+            "Chamfer, vertices to cloud", "points", len(x), len(x) * met + len(cloud) * 2 * _POINT,
             out, len(x) * _PAIR, answer=lambda: gradient(out), peers=[Peer("numpy", out_numpy)],
         ),
         Case(
@@ -91,6 +91,4 @@ def _isometry(bed: Bed) -> Case:
     size = frames * p.vertex_count * 3 * _POINT + count * 2 * _INDEX
     peer = Peer("numpy", lambda workers: isometry_numpy(x, pairs, share, weight))
     # An edge whose length changes by a rounding error may pull either way: that many edges' gradients may differ.
-    return Case(
-        "isometry", "edges", count, size, tasks, count * _EDGE, answer=gradient, peers=[peer], tolerance=1e-2
-    )
+    return Case("isometry", "edges", count, size, tasks, count * _EDGE, answer=gradient, peers=[peer], tolerance=1e-2)

@@ -45,9 +45,9 @@ def environment(device: wp.Device, threads: int) -> dict:
 def _processor() -> str:
     info = Path("/proc/cpuinfo")
     if info.exists():
-        names = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
-        if names:
-            return names[0]
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
     return platform.processor() or platform.machine()
 
 
@@ -78,8 +78,9 @@ def arithmetic_peak(device: wp.Device, team: Team, effort: Effort) -> float:
 
 
 def null_tests(device: wp.Device, quick: bool) -> list[dict]:
-    """Four times the work against once, on one thread: a kernel bound by memory, well beyond any cache, and one bound by
-    arithmetic."""
+    """Four times the work against once, on one thread: a kernel bound by memory, its arrays well beyond any cache, and
+    one bound by arithmetic.
+    """
     nodes = 2**20 if device.is_cpu else 2**22
     points = (1 if quick else 4) * (20_000 if device.is_cpu else 1_000_000)
     tests = []

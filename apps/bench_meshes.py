@@ -50,7 +50,7 @@ def merge_vertices(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple
 
 
 def split_long_edges(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split up to ``most`` edges at their middle, longest first: those that are the longest of every face they border."""
+    """Split up to ``most`` edges in the middle, longest first, each being the longest of every face it borders."""
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2)  # side c of a face runs from corner c to the next
     edges, edge = np.unique(np.sort(sides.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
     edge = edge.reshape(faces.shape)

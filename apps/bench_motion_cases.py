@@ -39,7 +39,8 @@ def _sampling(bed: Bed) -> list[Case]:
         lambda a, n: sample_only(a, n, bed.nodes, bed.levels, p.origin, p.moved_transition, values), p.moved_first
     )
     back = bed.span_tasks(
-        lambda a, n: adj_sample_only(a, n, bed.levels, p.origin, p.moved_transition, adj_values, adj_nodes), p.moved_first
+        lambda a, n: adj_sample_only(a, n, bed.levels, p.origin, p.moved_transition, adj_values, adj_nodes),
+        p.moved_first,
     )
 
     def value() -> np.ndarray:

@@ -179,7 +179,8 @@ class Factored:
             laplacian = -adjacency[span, span].tocsc()
             laplacian.setdiag(degree[span])
             matrix = identity(laplacian.shape[0], format="csc") + float(weight) * laplacian
-            self._factors.append((span, splu(matrix.tocsc(), options={"SymmetricMode": True}, permc_spec="MMD_AT_PLUS_A")))
+            factor = splu(matrix.tocsc(), options={"SymmetricMode": True}, permc_spec="MMD_AT_PLUS_A")
+            self._factors.append((span, factor))
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solutions for a flat full array (N, components) float64; nodes that are not kept stay 0."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 
 import warp as wp
 
@@ -10,6 +10,7 @@ from warpdef.apps.bench_bed import Bed, Case, Peer, difference, runner
 from warpdef.apps.bench_loss_cases import loss_cases
 from warpdef.apps.bench_motion_cases import motion_cases
 from warpdef.apps.bench_search_cases import search_cases
+from warpdef.apps.bench_sizes import ROWS
 from warpdef.apps.bench_solve_cases import solve_cases
 from warpdef.apps.bench_timing import Clock, Effort, Timing, measure
 from warpdef.workers import Team
@@ -23,17 +24,18 @@ GROUPS: Mapping[str, Callable[[Bed], list[Case]]] = {
 
 
 def kernel_rows(
-    bed: Bed, teams: Mapping[int, Team], bandwidth: Mapping[int, float], effort: Effort, wanted: Callable[[str], bool]
+    bed: Bed, teams: Mapping[int, Team], bandwidth: Mapping[int, float], effort: Effort, wanted: Collection[str]
 ) -> Iterator[dict]:
     """Measure every wanted case.
 
     Args:
-        teams: a team for each thread count. bandwidth: bytes a second for each thread count.
-        wanted: whether a row of this name, or any row of a group of this name, is asked for.
+        teams: a team for each thread count. bandwidth: bytes a second for each thread count. wanted: names of rows.
     """
     for group, cases in GROUPS.items():
+        if not set(ROWS[group]) & set(wanted):
+            continue
         for case in cases(bed):
-            if wanted(case.name) or wanted(group):
+            if case.name in wanted:
                 yield from case_rows(case, bed, teams, bandwidth, effort)
 
 
@@ -42,7 +44,7 @@ def case_rows(
 ) -> Iterator[dict]:
     """One row a thread count; the answers are compared first, before anything is timed."""
     compared = {peer.name: compare(case, peer, max(teams)) for peer in case.peers}
-    once: dict[str, Timing] = {}
+    once: dict[tuple[str, int], Timing] = {}
     for threads, team in teams.items():
         clock = Clock(bed.device)
         timing = measure(runner(case, bed.device, team), clock.seconds, effort, case.before)
@@ -66,10 +68,12 @@ def case_rows(
             known = compared[peer.name]
             entry = {"name": peer.name, "difference": known["difference"], "agrees": known["error"] is None}
             if known["error"] is None:
-                workers = threads if peer.parallel else 1
-                if peer.parallel or peer.name not in once:
-                    once[peer.name] = time_peer(peer, workers, effort)
-                theirs = once[peer.name]
+                # A peer is as fast as it can be made: with all workers or with one.
+                for workers in {1, threads} if peer.parallel else {1}:
+                    if (peer.name, workers) not in once:
+                        once[peer.name, workers] = time_peer(peer, workers, effort)
+                tried = {w: t for (name, w), t in once.items() if name == peer.name and w in (1, threads)}
+                workers, theirs = min(tried.items(), key=lambda item: item[1].median)
                 entry |= {"workers": workers if peer.parallel else None, **theirs.to_json()}
                 entry["speed_up"] = theirs.median / timing.median
             else:

@@ -76,7 +76,7 @@ class _Pair:
         )  # fmt: skip
 
     def tracked(self, name: str, moving: wp.array) -> Case:
-        """What an iteration sees: positions of consecutive iterations in turn, there and back, with what the last search left."""
+        """What an iteration sees: positions of consecutive iterations, and what the last search learnt."""
         bed = self._bed
         steps = bed.path(bed.vertex_path)
         turn = count_from()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from warpdef.errors import InputError
+
 
 @dataclass(frozen=True)
 class Size:
@@ -34,6 +36,38 @@ SIZES = (
 )
 SIZES_QUICK = (Size("quick", 4, 500, 1_000, 5, 24),)
 
+ROWS = {
+    "motion": (
+        "sampling",
+        "sampling adjoint",
+        "Cayley",
+        "move points",
+        "move points adjoint",
+        "move vertices",
+        "move vertices adjoint",
+        "scatter vertices",
+    ),
+    "neighbours": (
+        "neighbours: build",
+        "neighbours: cloud to vertices, cold",
+        "neighbours: cloud to vertices, tracked",
+        "neighbours: vertices to cloud, cold",
+        "neighbours: vertices to cloud, tracked",
+    ),
+    "losses": ("Chamfer, vertices to cloud", "Chamfer, cloud to vertices", "isometry"),
+    "solves": (
+        "cosine solve",
+        "pruned-grid CG, cold",
+        "pruned-grid CG, warm",
+        "template CG, cold",
+        "template CG, warm",
+        "Adam",
+    ),
+}
+"""Rows of kernels by group."""
+PARTS = ("iteration", "start")
+"""What else is measured: the whole iteration against cKDTree; start, compile time and memory."""
+
 SWEEPS = {
     "points": (2_500, 5_000, 10_000, 25_000, 50_000, 100_000),
     "vertices": (2_500, 5_000, 10_000, 25_000, 50_000, 100_000),
@@ -48,6 +82,21 @@ LARGEST = Size("largest", 100, 100_000, 100_000, 10, 0)
 EXPONENT_MAX = 1.1
 LINEAR_SWEEPS = ("points", "vertices", "frames")
 """Sweeps whose time and memory may grow with at most ``EXPONENT_MAX``."""
+
+
+def selection(only: str) -> set[str]:
+    """Names of all rows and parts that ``only`` asks for: every one whose name, or whose group's name, contains it.
+
+    Raises:
+        InputError: none does.
+    """
+    text = only.casefold()
+    rows = {name for group, names in ROWS.items() for name in names if text in name.casefold() or text in group}
+    parts = {part for part in (*PARTS, "scaling") if text in part}
+    if not rows | parts:
+        names = ", ".join([*ROWS, *PARTS, "scaling", *(name for names in ROWS.values() for name in names)])
+        raise InputError(f"--only: expected part of one of {names}; got {only!r}")
+    return rows | parts
 
 
 @dataclass(frozen=True)

@@ -43,9 +43,7 @@ def _cosine(bed: Bed) -> Case:
     # Six passes of n multiply-adds a component, and the division.
     flops = transitions * 8 * int(sum(12 * int(n) ** 4 + 5 * int(n) ** 3 for n in table.resolution))
     peer = Peer("numpy matmul (BLAS)", cosine_numpy(bed.gradient, table, lambdas))
-    return Case(
-        "cosine solve", "nodes", rhs.size, 2 * rhs.size * _NODE, tasks, flops, answer=solution, peers=[peer]
-    )
+    return Case("cosine solve", "nodes", rhs.size, 2 * rhs.size * _NODE, tasks, flops, answer=solution, peers=[peer])
 
 
 def _pruned(bed: Bed) -> list[Case]:
@@ -104,8 +102,9 @@ def _conjugate(
     width = _NODE if dtype is node8 else 12
     size = count * 2 * width
     # The tolerance is on the residual; the solution's error is larger by at most the condition number.
+    known = {"answer": solution, "peers": [peer], "tolerance": 1e-2}
     return [
-        Case(f"{name}, cold", unit, count, size, cold_tasks, before=forget, answer=solution, peers=[peer], tolerance=1e-2),
+        Case(f"{name}, cold", unit, count, size, cold_tasks, before=forget, **known),
         Case(f"{name}, warm", unit, count, size, warm_tasks, before=lambda: wp.copy(b, next(turns))),
     ]
 

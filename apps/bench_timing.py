@@ -1,4 +1,4 @@
-"""How ``warpdef bench`` takes a time: warm-up, many launches, median and quartiles, and a null test of the clock itself."""
+"""How ``warpdef bench`` takes a time: warm-up, many launches, median and quartiles, a null test of the clock."""
 
 from __future__ import annotations
 

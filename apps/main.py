@@ -22,6 +22,7 @@ COMMANDS = {
     "reconstruct": "Reconstruct one moving mesh from a sequence of point clouds.",
     "evaluate": "Compare a result with the true mesh sequence.",
     "sample": "Sample point clouds from a true mesh sequence.",
+    "bench": "Measure the kernels and the whole iteration on this machine.",
     "export": "Write a result for another program: glb, usd, pc2, mdd, pvd, obj, ply, npz, anime.",
     "view": "Show a result in a window, or as pictures, a movie or a web page.",
 }

@@ -18,7 +18,7 @@ from warpdef.errors import InputError
 
 if TYPE_CHECKING:
     from warpdef.apps.view_content import Content
-    from warpdef.apps.view_scene import Look
+    from warpdef.apps.view_actors import Look
 
 Flag = Annotated[bool, Parameter(negative="")]
 Slice = Annotated[str, Parameter(allow_leading_hyphen=True)]
@@ -80,7 +80,7 @@ def view(
         overwrite: Replace older files.
     """
     from warpdef.apps.view_probe import RenderingProbe
-    from warpdef.apps.view_scene import Look
+    from warpdef.apps.view_actors import Look
 
     if sheet and screenshot is None:
         raise InputError("--sheet: expected --screenshot FILE.png for the picture, got none; name it")

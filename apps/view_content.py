@@ -135,7 +135,9 @@ def load_content(
         points = [read[t] for t in chosen]
     if truth is not None:
         read_meshes = read_mesh_frames(truth, truth_frames)
-        _same_count(len(read_meshes), run, truth, "pick the frames it was made from with --truth-frames start:stop:step")
+        _same_count(
+            len(read_meshes), run, truth, "pick the frames it was made from with --truth-frames start:stop:step"
+        )
         picked = [read_meshes[t] for t in chosen]
         true_meshes = same_triangles(picked) or picked
     panes = [_run_pane(output, run, chosen, "reconstruction" if compare is None else str(output), points, true_meshes)]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from warpdef.apps.view_content import Content, Pane
-    from warpdef.apps.view_scene import Look
+    from warpdef.apps.view_actors import Look
 
 _STEPS = 65535
 
@@ -30,6 +30,7 @@ def write_html(content: Content, look: Look, path: Path, fps: float, frame: int 
     """
     from warpdef.apps.view_camera import AZIMUTH, ELEVATION, MARGIN, VIEW_ANGLE, box_extent
     from warpdef.apps.view_page import PAGE
+    from warpdef.apps.view_script import SCRIPT
     from warpdef.disk import replacing
 
     low, high = content.bounds
@@ -56,11 +57,12 @@ def write_html(content: Content, look: Look, path: Path, fps: float, frame: int 
         "smooth": look.smooth,
         "panes": [_pane(pane, content, look, low, high) for pane in content.panes],
     }
-    # "</" would end the script early, whatever the language makes of it.
-    text = json.dumps(scene, separators=(",", ":")).replace("</", "<\\/")
+    # No frame's name may end the script, or begin a comment in it.
+    text = json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c")
     title = html.escape(content.panes[0].title)
     with replacing(path) as stream:
-        stream.write(PAGE.replace("@TITLE@", title).replace("@SCENE@", text).encode("utf-8"))
+        page = PAGE.replace("@TITLE@", title).replace("@SCRIPT@", SCRIPT).replace("@SCENE@", text)
+        stream.write(page.encode("utf-8"))
 
 
 def _pane(pane: Pane, content: Content, look: Look, low: np.ndarray, high: np.ndarray) -> dict[str, Any]:
@@ -69,7 +71,9 @@ def _pane(pane: Pane, content: Content, look: Look, low: np.ndarray, high: np.nd
     packed: dict[str, Any] = {"title": pane.title}
     moving = pane.moving
     if pane.meshes is not None and moving is None:
-        raise InputError(f"--html: the pane '{pane.title}': expected the same triangles in all frames, got others; leave it out")
+        raise InputError(
+            f"--html: the pane '{pane.title}': expected the same triangles in all frames, got others; leave it out"
+        )
     if moving is not None:
         packed["faces"] = _base64(moving.faces.astype("<u4"))
         packed["count"] = moving.vertices.shape[1]
@@ -86,7 +90,7 @@ def _colors(pane: Pane, content: Content, look: Look) -> dict[str, Any]:
     """Material colours, or a measure as bytes with the table that turns them into colours."""
     import numpy as np
 
-    from warpdef.apps.view_scene import MATERIAL
+    from warpdef.apps.view_actors import MATERIAL
     from warpdef.colouring import MEASURES, material_colors
 
     packed: dict[str, Any] = {}

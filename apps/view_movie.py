@@ -151,6 +151,6 @@ def _require_ffmpeg() -> Any:
         imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError) as error:
         raise MissingPackageError(
-            f".mp4 needs imageio with ffmpeg ({error!s:.120}); install it: pip install 'warpdef[movie]', or write a .gif"
+            f".mp4 needs imageio with ffmpeg ({error!s:.120}); install it: pip install 'warpdef[movie]', or take .gif"
         ) from error
     return imageio

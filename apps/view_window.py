@@ -1,4 +1,4 @@
-"""The window: keys, slider, and the loop that plays. VTK's own timers are not used: they never fire without a window."""
+"""The window: keys, slider, and the loop that plays, by its own clock: VTK's timers never fire without a screen."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from warpdef.apps.view_actors import MATERIAL, PLAIN
 from warpdef.apps.view_movie import save_picture
 from warpdef.apps.view_player import Player
-from warpdef.apps.view_scene import MATERIAL, PLAIN, Scene
+from warpdef.apps.view_scene import Scene
 
 _IDLE_SECONDS = 0.01
 

@@ -38,8 +38,9 @@ def material_colors(vertices: np.ndarray, cells: int = 20) -> np.ndarray:
         Shape (V, 3) uint8.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    place = (vertices - low) / np.maximum(high - low, np.finfo(np.float64).tiny)
-    cell = np.floor((vertices - low) * (cells / max(float((high - low).max()), np.finfo(np.float64).tiny)))
+    sides = np.where(high > low, high - low, 1.0)
+    place = (vertices - low) / sides
+    cell = np.floor((vertices - low) * (cells / sides.max()))
     shade = np.where(cell.sum(axis=1) % 2 == 0, 1.0, 0.78)[:, None]
     return np.rint((0.15 + 0.85 * place) * shade * 255).astype(np.uint8)
 
@@ -148,7 +149,9 @@ class Colouring:
 
     def limits(self, name: str) -> tuple[float, float]:
         """Ends of the colour bar: the 99th percentile over some frames, and 0 or its negative."""
-        frames = np.unique(np.linspace(0, len(self.meshes) - 1, min(LIMIT_FRAMES, len(self.meshes))).round().astype(int))
+        frames = np.unique(
+            np.linspace(0, len(self.meshes) - 1, min(LIMIT_FRAMES, len(self.meshes))).round().astype(int)
+        )
         sizes = np.concatenate([np.abs(self.values(name, int(t))) for t in frames])
         sizes = sizes[np.isfinite(sizes)]
         high = float(np.percentile(sizes, 99)) if len(sizes) else 0.0
