@@ -23,7 +23,7 @@ def bench(
     device: str = "auto",
     data: Path | None = None,
     frames: Annotated[str, Parameter(allow_leading_hyphen=True)] = "",
-    json: Path | None = None,
+    json: Annotated[Path | None, Parameter(allow_leading_hyphen=True)] = None,
     compare: Path | None = None,
     plot: Path | None = None,
     show: Path | None = None,

@@ -64,7 +64,9 @@ def _roofline(axes: Any, report: dict, kernels: list[dict], sweeps: list[dict]) 
             for row in shown:
                 at = (row["flops_per_byte"], row["gflop_per_s"])
                 axes.annotate(row["name"], at, textcoords="offset points", xytext=(4, 3), fontsize=7)
-    axes.set(xlabel="operations a byte (every array once)", ylabel="Gflop/s", title=f"Roofline, size {size}")
+    axes.set(
+        xlim=(0.1, 200), xlabel="operations a byte (every array once)", ylabel="Gflop/s", title=f"Roofline, size {size}"
+    )
     axes.legend(fontsize=8)
 
 

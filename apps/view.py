@@ -17,8 +17,8 @@ from warpdef.config import parse_slice
 from warpdef.errors import InputError
 
 if TYPE_CHECKING:
-    from warpdef.apps.view_content import Content
     from warpdef.apps.view_actors import Look
+    from warpdef.apps.view_content import Content
 
 Flag = Annotated[bool, Parameter(negative="")]
 Slice = Annotated[str, Parameter(allow_leading_hyphen=True)]
@@ -79,8 +79,8 @@ def view(
         html: Write a page for the browser that needs neither server nor network.
         overwrite: Replace older files.
     """
-    from warpdef.apps.view_probe import RenderingProbe
     from warpdef.apps.view_actors import Look
+    from warpdef.apps.view_probe import RenderingProbe
 
     if sheet and screenshot is None:
         raise InputError("--sheet: expected --screenshot FILE.png for the picture, got none; name it")

@@ -16,8 +16,8 @@ from warpdef.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from warpdef.apps.view_content import Content, Pane
     from warpdef.apps.view_actors import Look
+    from warpdef.apps.view_content import Content, Pane
 
 _STEPS = 65535
 

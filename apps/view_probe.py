@@ -93,14 +93,17 @@ def has_screen() -> bool:
 
 
 def _why(code: int, text: str) -> str:
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    last = f": {lines[-1]:.160}" if lines else ""
+    # VTK's lines: colour codes, time and place, then the words after the bar.
+    lines = [line.rpartition("| ")[2].strip() for line in re.sub(r"\x1b\[[0-9;]*m", "", text).splitlines()]
+    lines = [line for line in lines if line]
+    telling = next((line for line in lines if "Failed to load" in line), lines[-1] if lines else "")
+    words = f": {telling:.160}" if telling else ""
     if code >= 0:
-        return f"it ended with {code}{last}"
+        return f"it ended with {code}{words}"
     try:
-        return f"it was ended by {signal.Signals(-code).name}{last}"
+        return f"it was ended by {signal.Signals(-code).name}{words}"
     except ValueError:
-        return f"it was ended by signal {-code}{last}"
+        return f"it was ended by signal {-code}{words}"
 
 
 def _named_packages(text: str) -> list[str]:

@@ -309,6 +309,7 @@ function start() {
     cam.home = false;
     dirty = true;
   }, { passive: false });
+  draw();
   play(true);
   last = performance.now();
   root.ready = "1";

@@ -18,11 +18,20 @@ wp.set_module_options(MODULE_OPTIONS)
 
 @wp.func
 def nearest_rotation(s: wp.mat33) -> wp.mat33:
-    """The rotation R that maximises trace(R^T s); of a rank-2 matrix the third axis follows by handedness."""
-    u, sigma, v = wp.svd3(s)
-    turn = wp.determinant(u) * wp.determinant(v)
-    fix = wp.mat33(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, wp.sign(turn))
-    return u * fix * wp.transpose(v)
+    """The rotation R that maximises trace(R^T s); of a rank-2 matrix the third axis follows by handedness.
+
+    The identity for s = 0.
+    """
+    # svd3 compares with absolute thresholds (1e-6), which the squares of short edges would fall below; and of its four
+    # Jacobi sweeps one vertex in a hundred needs more. Both factors are rotations: a mirrored s has sigma[2] < 0.
+    largest = wp.max(wp.max(wp.abs(s[0]), wp.abs(s[1])), wp.abs(s[2]))
+    scale = wp.max(largest)
+    rotation = wp.identity(n=3, dtype=wp.float32)
+    if scale > 0.0:
+        u, sigma, v = wp.svd3(s / scale)
+        u_left, sigma_left, v_left = wp.svd3(wp.transpose(u) * (s / scale) * v)
+        rotation = (u * u_left) * wp.transpose(v * v_left)
+    return rotation
 
 
 @wp.kernel

@@ -97,24 +97,25 @@ def test_changing_triangles_are_refused(tmp_path, capfd):
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
-@pytest.mark.parametrize("flags", [[], ["--side-by-side", "--color", "error", "--cloud", "--flat"]], ids=["one", "three"])
-def test_it_moves_in_chromium(tmp_path, flags):
-    page = write(tmp_path, *flags)
-    arguments = "--headless --no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-sync"
-    arguments += " --disable-component-update --use-angle=swiftshader --enable-unsafe-swiftshader --enable-logging=stderr"
-    arguments += f" --user-data-dir={tmp_path / 'profile'} --dump-dom"
+@pytest.mark.parametrize("side_by_side", [False, True])
+def test_it_moves_in_chromium(tmp_path, side_by_side):
+    page = write(tmp_path, *(["--side-by-side", "--color", "error", "--cloud", "--flat"] if side_by_side else []))
+    flags = "--headless --no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-sync"
+    flags += " --disable-component-update --use-angle=swiftshader --enable-unsafe-swiftshader"
+    flags += f" --user-data-dir={tmp_path / 'profile'} --enable-logging=stderr --dump-dom"
 
     def state(milliseconds: int) -> dict[str, str]:
-        done = subprocess.run(
-            [BROWSER, *arguments.split(), f"--virtual-time-budget={milliseconds}", page.as_uri()],
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
+        command = [BROWSER, *flags.split(), f"--virtual-time-budget={milliseconds}", page.as_uri()]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
         assert re.findall(r".*CONSOLE.*", done.stderr) == []
-        return dict(re.findall(r'data-(\w+)="([^"]*)"', re.search("<html[^>]*>", done.stdout)[0]))
+        state = dict(re.findall(r'data-(\w+)="([^"]*)"', re.search("<html[^>]*>", done.stdout)[0]))
+        assert state["ready"] == "1" and int(state["drawn"]) >= 1 and "error" not in state
+        return state
 
-    seen = [state(milliseconds) for milliseconds in (300, 900)]
-    assert [s["ready"] for s in seen] == ["1", "1"] and not any("error" in s for s in seen)
-    assert int(seen[1]["drawn"]) >= 1
-    assert any(s["frame"] != "0" for s in seen)
+    # How many pictures fit into a budget is the browser's choice; within seconds there are several.
+    seen = set()
+    for milliseconds in (300, 1000, 3000, 9000, 9100, 9250):
+        seen.add(state(milliseconds)["frame"])
+        if len(seen) > 1:
+            break
+    assert len(seen) > 1

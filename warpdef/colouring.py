@@ -38,9 +38,9 @@ def material_colors(vertices: np.ndarray, cells: int = 20) -> np.ndarray:
         Shape (V, 3) uint8.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    sides = np.where(high > low, high - low, 1.0)
-    place = (vertices - low) / sides
-    cell = np.floor((vertices - low) * (cells / sides.max()))
+    sides = high - low
+    place = (vertices - low) / np.where(sides > 0.0, sides, 1.0)
+    cell = np.floor((vertices - low) * (cells / (float(sides.max()) or 1.0)))
     shade = np.where(cell.sum(axis=1) % 2 == 0, 1.0, 0.78)[:, None]
     return np.rint((0.15 + 0.85 * place) * shade * 255).astype(np.uint8)
 

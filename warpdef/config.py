@@ -173,6 +173,8 @@ class OptimiserConfig:
     """Further iterations for every frame beyond 17."""
     warmup: int = 50
     """First iterations, in which only the input and mesh terms act."""
+    second_start: float = 1.5
+    """After warm-up, steps whose input term exceeds this many medians are fitted again from their neighbours' motion."""
     rate: float = 5e-3
     """Learning rate of level 1."""
     rate_growth: float = 1.1
@@ -192,6 +194,7 @@ class OptimiserConfig:
         _require(self.iterations >= 1, "optimiser.iterations", "at least 1", self.iterations)
         _require(self.iterations_per_frame >= 0, "optimiser.iterations_per_frame", "a number from 0", self.iterations_per_frame)
         _require(self.warmup >= 0, "optimiser.warmup", "0 or more", self.warmup)
+        _require(self.second_start >= 1, "optimiser.second_start", "a number from 1, or inf", self.second_start)
         for key in ("rate", "rate_growth", "epsilon"):
             _require(getattr(self, key) > 0, f"optimiser.{key}", "a number above 0", getattr(self, key))
         _require(self.template_rate >= 0, "optimiser.template_rate", "a number from 0", self.template_rate)
@@ -302,7 +305,7 @@ def preset(name: str) -> Config:
         loss=replace(base.loss, tangential=1.0),
         template=replace(base.template, depth=10),
         refine=replace(base.refine, iterations=0),
-        optimiser=replace(base.optimiser, iterations=5000, iterations_per_frame=80.0, warmup=100, decay="constant"),
+        optimiser=replace(base.optimiser, iterations=5000, iterations_per_frame=80.0, warmup=100, second_start=1e9, decay="constant"),
     )
 
 

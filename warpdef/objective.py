@@ -91,7 +91,7 @@ class Objective:
 
     # Tasks. Each is called once to be recorded, or at every iteration on CUDA.
 
-    def _input_term(self, first: int, last: int) -> None:
+    def input_term(self, first: int, last: int) -> None:
         """Move the clouds of transitions ``first .. last``, compare, and leave the gradient in their nodes."""
         p = self.problem
         begin, count = _span(p.moved_first, first, last)
@@ -186,6 +186,11 @@ class Objective:
                 0, p.vertex_count, s, source, self.levels, self.vertices, self.adj_motion, self.adj_nodes
             )
 
+    def measure_input(self) -> None:
+        """The input term of every step for the nodes as they are, in ``loss_input``; its gradient is dropped."""
+        self.input_term(0, len(self.problem.transitions))
+        self.adj_nodes.zero_()
+
     def chain_all(self) -> None:
         """All vertices of all frames for the nodes as they are."""
         self._chain(0, self.problem.vertex_count)
@@ -203,7 +208,7 @@ class Objective:
     def phases(self, warmup: bool) -> list[Phase]:
         """All phases of an evaluation; during warm-up only the input and mesh terms."""
         p, cpu = self.problem, self.problem.device.is_cpu
-        clouds = [partial(self._input_term, a, b) for a, b in self.steps()]
+        clouds = [partial(self.input_term, a, b) for a, b in self.steps()]
         if warmup:
             k = p.transitions.keyframe
             return [Phase("move", [*clouds, partial(self._compare, k, k + 1)])]

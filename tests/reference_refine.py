@@ -1,0 +1,152 @@
+"""Float64 NumPy twins of the vertex stage, written from the formulas and slow on purpose. Imports NumPy only.
+
+Meshes come as undirected edges (E, 2), each once. T frames, V vertices: x (T, V, 3), rest y (V, 3), R (T, V, 3, 3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import reference
+
+# Rigidity.
+
+
+def nearest_rotation(s: np.ndarray) -> np.ndarray:
+    """The rotation R that maximises trace(R^T s) by its textbook form: U diag(1, 1, det(U V^T)) V^T; (..., 3, 3)."""
+    u, _, vt = np.linalg.svd(s)
+    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
+    return u @ vt
+
+
+def fit_rotations(x: np.ndarray, y: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    s = np.zeros((*x.shape, 3))
+    outer = np.einsum("tea,eb->teab", x[:, edges[:, 0]] - x[:, edges[:, 1]], y[edges[:, 0]] - y[edges[:, 1]])
+    for end in (0, 1):
+        for t in range(len(x)):
+            np.add.at(s[t], edges[:, end], outer[t])
+    return nearest_rotation(s)
+
+
+def rigid_residual(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """(x_i - x_j) - (R_i + R_j)/2 (y_i - y_j), (T, E, 3)."""
+    i, j = edges.T
+    return x[:, i] - x[:, j] - np.einsum("teab,eb->tea", 0.5 * (rotation[:, i] + rotation[:, j]), y[i] - y[j])
+
+
+def rigid_energy(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> float:
+    return float((rigid_residual(x, y, rotation, edges) ** 2).sum())
+
+
+def rigid_pull(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Minus half the gradient of ``rigid_energy`` to x."""
+    residual, pull = rigid_residual(x, y, rotation, edges), np.zeros(x.shape)
+    for t in range(len(x)):
+        np.add.at(pull[t], edges[:, 0], -residual[t])
+        np.add.at(pull[t], edges[:, 1], residual[t])
+    return pull
+
+
+def rest_pull(x: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Minus half the gradient of ``rigid_energy`` to y at y = 0, over the number of frames."""
+    i, j = edges.T
+    turned = np.einsum("teba,teb->ea", 0.5 * (rotation[:, i] + rotation[:, j]), x[:, i] - x[:, j]) / len(x)
+    pull = np.zeros(x.shape[1:])
+    np.add.at(pull, i, turned)
+    np.add.at(pull, j, -turned)
+    return pull
+
+
+# Planes.
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area-weighted unit normals, (V, 3); zero where nothing tells."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = np.zeros(vertices.shape)
+    for k in range(3):
+        np.add.at(normals, faces[:, k], np.cross(b - a, c - a))
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Frozen point-to-plane residuals a . (x_owner + d_owner - q) of weight w, one a pair.
+
+    owner: the vertex that is asked to move (P,). a: (P, 3), zero for a pair left out. w, r: (P,), r at d = 0.
+    """
+
+    owner: np.ndarray
+    a: np.ndarray
+    w: np.ndarray
+    r: np.ndarray
+
+    def energy(self, d: np.ndarray) -> float:
+        return float((self.w * (self.r + (self.a * d[self.owner]).sum(axis=1)) ** 2).sum())
+
+    def normal_equations(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """A (V, 3, 3) and b (V, 3) of the best moves A d = b."""
+        matrix, pull = np.zeros((count, 3, 3)), np.zeros((count, 3))
+        np.add.at(matrix, self.owner, self.w[:, None, None] * self.a[:, :, None] * self.a[:, None, :])
+        np.add.at(pull, self.owner, -(self.w * self.r)[:, None] * self.a)
+        return matrix, pull
+
+
+def planes(x, m, q, n, owner, reach, agreement: float) -> Planes:
+    """Pairs of vertices x with normals m and cloud points q with normals n, all (P, 3). reach: a number or (P,)."""
+    kept = (n * m).sum(axis=1) > agreement
+    a = np.where(kept[:, None], n + m, 0.0)
+    length = np.linalg.norm(a, axis=1, keepdims=True)
+    a = np.divide(a, length, out=np.zeros_like(a), where=length > 0)
+    w = np.exp(-((np.linalg.norm(x - q, axis=1) / reach) ** 2))
+    return Planes(np.asarray(owner), a, w, (a * (x - q)).sum(axis=1))
+
+
+# The stage.
+
+
+def laplacian(edges: np.ndarray, count: int) -> np.ndarray:
+    return reference.smoother(edges, count, 1.0) - np.eye(count)
+
+
+def block_matrix(blocks: np.ndarray, edges: np.ndarray, alpha: float, beta: float) -> np.ndarray:
+    """A + beta I + alpha L, dense, (3 V, 3 V). blocks: (V, 3, 3)."""
+    count = len(blocks)
+    matrix = np.kron(alpha * laplacian(edges, count) + beta * np.eye(count), np.eye(3))
+    for i, block in enumerate(blocks):
+        matrix[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += block
+    return matrix
+
+
+def spacing(cloud: np.ndarray) -> float:
+    """Mean distance of a point to its nearest fellow."""
+    distance = np.linalg.norm(cloud[:, None] - cloud[None], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    return float(distance.min(axis=1).mean())
+
+
+def refine_round(x, y, rotation, edges, faces, clouds, normals, c) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One round: every frame pairs, moves and turns; then all frames together say what the shape is.
+
+    Args:
+        c: an object with the fields of the stage's configuration.
+
+    Returns:
+        x, y, rotation after the round.
+    """
+    x, count = x.copy(), x.shape[1]
+    pulled = c.rigidity * rigid_pull(x, y, rotation, edges)
+    for t, (q, n) in enumerate(zip(clouds, normals, strict=True)):
+        m, reach = vertex_normals(x[t], faces), c.reach * spacing(q)
+        forth, back = reference.nearest(x[t], q), reference.nearest(q, x[t])
+        met = planes(x[t], m, q[forth], n[forth], np.arange(count), reach, c.agreement)
+        asked = planes(x[t][back], m[back], q, n, back, reach, c.agreement)
+        (a, b), (a_asked, b_asked) = met.normal_equations(count), asked.normal_equations(count)
+        system = block_matrix(a + a_asked, edges, c.rigidity, c.damping)
+        x[t] += np.linalg.solve(system, (b + b_asked + pulled[t]).ravel()).reshape(count, 3)
+    rotation = fit_rotations(x, y, edges)
+    s = c.shape_smoothness
+    best = np.linalg.solve(np.eye(count) + s * laplacian(edges, count), y + s * rest_pull(x, rotation, edges))
+    return x, y + c.shape_step * (best - y), rotation

@@ -1,0 +1,205 @@
+"""Pictures and movies without a window; skipped where the machine cannot draw."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from view_samples import BAR, VERTICES, drawing, save_clouds, save_run, save_truth  # noqa: F401
+
+from warpdef.apps import view_probe
+from warpdef.apps.main import run
+from warpdef.apps.view_actors import Look
+from warpdef.apps.view_content import load_content
+from warpdef.apps.view_scene import Scene
+from warpdef.mesh import MeshSequence
+
+pytestmark = pytest.mark.usefixtures("drawing", "proven")
+SIZE = ["--size", "160x120"]
+
+
+@pytest.fixture
+def proven(monkeypatch) -> None:
+    """The machine has shown once that it draws; it need not before every picture."""
+    monkeypatch.setattr(view_probe, "_PROGRAM", "")
+
+
+@pytest.fixture
+def out(tmp_path) -> Path:
+    """A run with its clouds and truth beside it, as a demo leaves it."""
+    out = save_run(tmp_path / "out")
+    save_clouds(out / "clouds.npz")
+    save_truth(out / "truth.npz", 0.05)
+    return out
+
+
+def picture(path: Path) -> np.ndarray:
+    return np.asarray(Image.open(path).convert("RGB")).astype(int)
+
+
+def shot(out: Path, *arguments: str) -> np.ndarray:
+    path = out.parent / "a.png"
+    assert run(["view", str(out), "--screenshot", str(path), "--overwrite", *SIZE, *arguments]) == 0
+    assert sorted(p.name for p in out.parent.iterdir()) == ["a.png", "out"]
+    return picture(path)
+
+
+def differs(a: np.ndarray, b: np.ndarray) -> float:
+    """Share of pixels that differ clearly."""
+    return float((np.abs(a - b).max(axis=2) > 24).mean())
+
+
+def test_a_screenshot_says_what_it_is(out, capfd):
+    assert shot(out).shape == (120, 160, 3)
+    text, err = capfd.readouterr()
+    assert text.startswith(f"frame 0: {out.parent / 'a.png'} (") and not err
+
+
+def test_each_flag_changes_the_picture(out):
+    plain = shot(out, "--color", "plain")
+    others = {
+        "frame": ["--frame", "4"],
+        "cloud": ["--cloud"],
+        "trajectories": ["--trajectories"],
+        "wireframe": ["--wireframe"],
+        "panes": ["--side-by-side"],
+        "up": ["--up", "z"],
+    }
+    shots = {name: shot(out, "--color", "plain", *flags) for name, flags in others.items()}
+    shots |= {color: shot(out, "--color", color) for color in ("template", "error", "displacement")}
+    assert {name: d for name, s in shots.items() if (d := differs(s, plain)) < 0.002} == {}
+
+
+def test_flat_shading_shows_the_triangles(out):
+    smooth, flat = (shot(out, "--color", "plain", *flags) for flags in ([], ["--flat"]))
+    assert np.abs(smooth - flat).max() > 10
+
+
+def test_the_picture_is_of_the_mesh(out):
+    seen = (shot(out, "--color", "plain") < 240).any(axis=2)[30:]
+    assert 0.02 < seen.mean() < 0.5
+    assert not seen[:, [0, -1]].any() and not seen[-1].any()
+
+
+def test_colors_of_its_own_are_shown(out):
+    with np.load(out / "sequence.npz") as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    red = np.tile(np.array([255, 0, 0, 255], dtype=np.uint8), (VERTICES.shape[1], 1))
+    np.savez(out / "sequence.npz", **arrays, vertex_colors=red)
+    seen = shot(out)[30:]
+    body = (seen < 240).any(axis=2)
+    assert (seen[body][:, 0] > seen[body][:, 1] + 50).mean() > 0.8
+
+
+def test_a_contact_sheet(out):
+    sheet = shot(out, "--sheet", "5", "--color", "plain")
+    assert sheet.shape == (240, 480, 3)
+    tiles = [sheet[y : y + 120, x : x + 160] for y in (0, 120) for x in (0, 160, 320)]
+    assert differs(tiles[0], tiles[4]) > 0.01 and (tiles[5] == 255).all()
+    np.testing.assert_array_equal(tiles[2], shot(out, "--frame", "2", "--color", "plain"))
+
+
+def test_a_gif(out, tmp_path):
+    assert run(["view", str(out), "--movie", str(tmp_path / "a.gif"), "--fps", "8", *SIZE]) == 0
+    with Image.open(tmp_path / "a.gif") as movie:
+        assert (movie.n_frames, movie.size, movie.info["loop"]) == (5, (160, 120), 0)
+        frames, milliseconds = [], 0
+        for t in range(5):
+            movie.seek(t)
+            milliseconds += movie.info["duration"]
+            frames.append(np.asarray(movie.convert("RGB")).astype(int))
+    assert milliseconds == 620  # five eighths of a second, in hundredths
+    assert differs(frames[0], frames[4]) > 0.01
+
+
+def test_a_turntable(out, tmp_path):
+    assert run(["view", str(out), "--movie", str(tmp_path / "a.gif"), "--turntable", "--fps", "2", *SIZE]) == 0
+    with Image.open(tmp_path / "a.gif") as movie:
+        assert movie.n_frames == 15  # three rounds of five frames, so that the turn takes six seconds
+        first, same_frame = [], []
+        for t, kept in ((0, first), (5, same_frame)):
+            movie.seek(t)
+            kept.append(np.asarray(movie.convert("RGB")).astype(int))
+    assert differs(first[0], same_frame[0]) > 0.01
+
+
+def test_an_mp4(out, tmp_path):
+    imageio = pytest.importorskip("imageio.v2")
+    pytest.importorskip("imageio_ffmpeg")
+    assert run(["view", str(out), "--movie", str(tmp_path / "a.mp4"), "--size", "162x122"]) == 0
+    frames = [np.asarray(f).astype(int) for f in imageio.get_reader(tmp_path / "a.mp4")]
+    assert len(frames) == 5 and frames[0].shape == (122, 162, 3)
+    assert differs(frames[0], frames[4]) > 0.01
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mp4", "out"]
+
+
+def test_several_outputs_at_once(out, tmp_path):
+    paths = [str(tmp_path / name) for name in ("a.png", "a.gif", "a.html")]
+    flags = [word for pair in zip(("--screenshot", "--movie", "--html"), paths, strict=True) for word in pair]
+    assert run(["view", str(out), *flags, *SIZE]) == 0
+    assert all(Path(path).stat().st_size for path in paths)
+
+
+def scene(out: Path, **look) -> Scene:
+    return Scene(load_content(out), off_screen=True, size=(160, 120), look=Look(**look))
+
+
+def test_one_actor_is_moved_not_rebuilt(out):
+    made = scene(out, cloud=True, trajectories=True)
+    try:
+        actors = [list(renderer.actors.values()) for renderer in made.plotter.renderers]
+        surface = made.surfaces[0]
+        data = surface.actor.mapper.dataset
+        for frame in (3, 1, 4):
+            made.show(frame)
+            np.testing.assert_array_equal(data.points, VERTICES[frame])
+            assert surface.actor.mapper.dataset is data
+        assert [list(renderer.actors.values()) for renderer in made.plotter.renderers] == actors
+    finally:
+        made.close()
+
+
+def test_the_camera_is_kept_between_frames(out):
+    made = scene(out)
+    try:
+        made.plotter.renderers[0].camera.position = (5.0, 6.0, 7.0)
+        made.show(3)
+        made.picture()
+        assert made.plotter.renderers[0].camera.position == (5.0, 6.0, 7.0)
+    finally:
+        made.close()
+
+
+def test_vertices_may_change_while_it_is_shown(out):
+    made = scene(out, color="displacement", trajectories=True)
+    try:
+        made.show(4)
+        before, actor = made.picture().astype(int), made.surfaces[0].actor
+        moved = VERTICES + np.arange(5, dtype=np.float32)[:, None, None] * [0.05, 0.0, 0.0]
+        made.set_vertices(0, MeshSequence(moved, BAR.faces))
+        made.refresh()
+        assert made.surfaces[0].actor is actor
+        np.testing.assert_array_equal(actor.mapper.dataset.points, moved[4].astype(np.float32))
+        assert differs(made.picture().astype(int), before) > 0.005
+    finally:
+        made.close()
+
+
+def test_triangles_may_change_from_frame_to_frame(out, tmp_path):
+    (tmp_path / "truth").mkdir()
+    for t in range(5):
+        faces = BAR.faces if t != 2 else BAR.faces[::2]
+        lines = [f"v {x} {y} {z}" for x, y, z in BAR.vertices[t]] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+        (tmp_path / "truth" / f"{t}.obj").write_text("\n".join(lines))
+    content = load_content(out, truth=tmp_path / "truth", side_by_side=True)
+    made = Scene(content, off_screen=True, size=(240, 120))
+    try:
+        for frame in (1, 2, 3):
+            made.show(frame)
+            made.picture()
+            count = len(BAR.faces) if frame != 2 else len(BAR.faces[::2])
+            assert made.surfaces[2].actor.mapper.dataset.n_cells == count
+    finally:
+        made.close()
