@@ -32,7 +32,7 @@ WORK = Size("work", 17, 5_000, 10_000, 10, 400)
 SIZES = (
     Size("small", 9, 2_000, 4_000, 8, 200),
     WORK,
-    Size("large", 17, 20_000, 40_000, 10, 80),
+    Size("large", 17, 20_000, 40_000, 10, 48),
 )
 SIZES_QUICK = (Size("quick", 4, 500, 1_000, 5, 24),)
 

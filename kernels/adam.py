@@ -56,14 +56,16 @@ def _adam(
 
 for _dtype in (node8, wp.vec3):
     _arrays = [wp.array(dtype=_dtype)] * 4
-    wp.overload(_adam, [int, int, wp.array(dtype=wp.float32), wp.array(dtype=wp.float32), float, float, float, *_arrays])
+    wp.overload(
+        _adam, [int, int, wp.array(dtype=wp.float32), wp.array(dtype=wp.float32), float, float, float, *_arrays]
+    )
 
 
 def adam(begin, count, rate, schedule, betas, epsilon, gradient, first, second, parameter):
     """One step for parameters ``begin .. begin + count``.
 
     Args:
-        rate: shape (R,) float32, repeated over the parameters: (M,) for the nodes of every transition, (1,) for all alike.
+        rate: shape (R,) float32, repeated over the parameters: (M,) for every transition's nodes, (1,) for all alike.
         schedule: see ``schedule.py``. betas: (beta1, beta2).
         gradient, first, second, parameter: shape (N,) node8 or vec3, flat.
     """

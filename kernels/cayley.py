@@ -1,4 +1,4 @@
-"""The rigid motion y = R(z) x + t of a six-vector (z, t), by the Cayley map (paper, eq. of sec. Transformation Parameterization).
+"""Rigid motions y = R(z) x + t by the Cayley map (paper, sec. Transformation Parameterization).
 
     R(z) = (I + Z)(I - Z)^-1 = I + k (Z + Z^2),   k = 2 / (1 + |z|^2),   angle = 2 atan |z|
 

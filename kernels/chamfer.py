@@ -100,7 +100,9 @@ def _fixed_to_moving(
         wp.atomic_add(adj_moving_out, j, adj_residual_energy(r, normals[i], tangential, w * weight[s]))
 
 
-def moving_to_fixed(begin, count, moving, slot, nearest, fixed, normals, share, weight, robust, loss_out, adj_moving_out):
+def moving_to_fixed(
+    begin, count, moving, slot, nearest, fixed, normals, share, weight, robust, loss_out, adj_moving_out
+):
     """First half of CD_R, from every moving point to its nearest fixed one.
 
     Args:
@@ -116,7 +118,9 @@ def moving_to_fixed(begin, count, moving, slot, nearest, fixed, normals, share, 
     launch(_moving_to_fixed, count, inputs, moving.device)
 
 
-def fixed_to_moving(begin, count, fixed, normals, slot, nearest, moving, share, weight, robust, loss_out, adj_moving_out):
+def fixed_to_moving(
+    begin, count, fixed, normals, slot, nearest, moving, share, weight, robust, loss_out, adj_moving_out
+):
     """Second half of CD_R, from every fixed point to its nearest moving one; adds to ``adj_moving_out``.
 
     Shapes as in ``moving_to_fixed``, with slot and nearest of shape (B,).

@@ -22,15 +22,17 @@ def nearest_rotation(s: wp.mat33) -> wp.mat33:
 
     The identity for s = 0.
     """
-    # svd3 compares with absolute thresholds (1e-6), which the squares of short edges would fall below; and of its four
-    # Jacobi sweeps one vertex in a hundred needs more. Both factors are rotations: a mirrored s has sigma[2] < 0.
+    # svd3 compares with absolute thresholds (1e-6), which the squares of short edges would fall below; its four Jacobi
+    # sweeps are too few for one vertex in a hundred, hence a second call; and of a rank-1 matrix, where its squares
+    # underflow, its factors are not quite orthogonal. They never are reflections: a mirrored s has sigma[2] < 0.
     largest = wp.max(wp.max(wp.abs(s[0]), wp.abs(s[1])), wp.abs(s[2]))
     scale = wp.max(largest)
     rotation = wp.identity(n=3, dtype=wp.float32)
     if scale > 0.0:
         u, sigma, v = wp.svd3(s / scale)
         u_left, sigma_left, v_left = wp.svd3(wp.transpose(u) * (s / scale) * v)
-        rotation = (u * u_left) * wp.transpose(v * v_left)
+        nearly = (u * u_left) * wp.transpose(v * v_left)
+        rotation = wp.quat_to_matrix(wp.normalize(wp.quat_from_matrix(nearly)))
     return rotation
 
 

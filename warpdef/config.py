@@ -111,7 +111,7 @@ class SobolevConfig:
     unpreconditioned_rate: float = 0.1
     """Factor on all learning rates when ``enabled`` is false."""
     solver: Literal["auto", "cosine", "cg", "warp"] = "auto"
-    """``cosine``: exact, full grids only; ``cg``: our conjugate gradients; ``warp``: warp.optim.linear; ``auto``: the fastest that fits."""
+    """``cosine``: exact, full grids only; ``cg``: our own; ``warp``: Warp's own; ``auto``: the fastest that fits."""
     tolerance: float = 1e-4
     """Residual, relative to the right-hand side, at which conjugate gradients stop."""
     iterations_max: int = 200
@@ -121,8 +121,15 @@ class SobolevConfig:
         _require(self.lambda_base >= 0, "sobolev.lambda_base", "a number from 0", self.lambda_base)
         _require(self.lambda_growth > 0, "sobolev.lambda_growth", "a number above 0", self.lambda_growth)
         _require(self.lambda_template >= 0, "sobolev.lambda_template", "a number from 0", self.lambda_template)
-        _require(self.unpreconditioned_rate > 0, "sobolev.unpreconditioned_rate", "a number above 0", self.unpreconditioned_rate)
-        _require(self.solver in ("auto", "cosine", "cg", "warp"), "sobolev.solver", "auto, cosine, cg or warp", self.solver)
+        _require(
+            self.unpreconditioned_rate > 0,
+            "sobolev.unpreconditioned_rate",
+            "a number above 0",
+            self.unpreconditioned_rate,
+        )
+        _require(
+            self.solver in ("auto", "cosine", "cg", "warp"), "sobolev.solver", "auto, cosine, cg or warp", self.solver
+        )
         _require(0 < self.tolerance < 1, "sobolev.tolerance", "between 0 and 1", self.tolerance)
         _require(self.iterations_max >= 1, "sobolev.iterations_max", "at least 1", self.iterations_max)
 
@@ -160,7 +167,9 @@ class LossConfig:
             _require(getattr(self, key) >= 0, f"loss.{key}", "a number from 0", getattr(self, key))
         _require(self.robust_power in (2, 4), "loss.robust_power", "2 or 4", self.robust_power)
         _require(0 <= self.tangential <= 1, "loss.tangential", "0 to 1", self.tangential)
-        _require(self.confidence_bound in ("max", "mean"), "loss.confidence_bound", "max or mean", self.confidence_bound)
+        _require(
+            self.confidence_bound in ("max", "mean"), "loss.confidence_bound", "max or mean", self.confidence_bound
+        )
 
 
 @dataclass(frozen=True)
@@ -173,8 +182,6 @@ class OptimiserConfig:
     """Further iterations for every frame beyond 17."""
     warmup: int = 50
     """First iterations, in which only the input and mesh terms act."""
-    second_start: float = 1.5
-    """After warm-up, steps whose input term exceeds this many medians are fitted again from their neighbours' motion."""
     rate: float = 5e-3
     """Learning rate of level 1."""
     rate_growth: float = 1.1
@@ -192,9 +199,13 @@ class OptimiserConfig:
 
     def __post_init__(self) -> None:
         _require(self.iterations >= 1, "optimiser.iterations", "at least 1", self.iterations)
-        _require(self.iterations_per_frame >= 0, "optimiser.iterations_per_frame", "a number from 0", self.iterations_per_frame)
+        _require(
+            self.iterations_per_frame >= 0,
+            "optimiser.iterations_per_frame",
+            "a number from 0",
+            self.iterations_per_frame,
+        )
         _require(self.warmup >= 0, "optimiser.warmup", "0 or more", self.warmup)
-        _require(self.second_start >= 1, "optimiser.second_start", "a number from 1, or inf", self.second_start)
         for key in ("rate", "rate_growth", "epsilon"):
             _require(getattr(self, key) > 0, f"optimiser.{key}", "a number above 0", getattr(self, key))
         _require(self.template_rate >= 0, "optimiser.template_rate", "a number from 0", self.template_rate)
@@ -305,10 +316,14 @@ def preset(name: str) -> Config:
         loss=replace(base.loss, tangential=1.0),
         template=replace(base.template, depth=10),
         refine=replace(base.refine, iterations=0),
-        optimiser=replace(base.optimiser, iterations=5000, iterations_per_frame=80.0, warmup=100, second_start=1e9, decay="constant"),
+        optimiser=replace(base.optimiser, iterations=5000, iterations_per_frame=80.0, warmup=100, decay="constant"),
     )
 
 
 def group_names() -> tuple[str, ...]:
     """The nested groups of ``Config``, in order."""
-    return tuple(f.name for f in fields(Config) if f.default_factory is not None and hasattr(f.default_factory, "__dataclass_fields__"))
+    return tuple(
+        f.name
+        for f in fields(Config)
+        if f.default_factory is not None and hasattr(f.default_factory, "__dataclass_fields__")
+    )

@@ -19,7 +19,9 @@ def check_faces(faces: np.ndarray, vertex_count: int, where: str) -> np.ndarray:
     if faces.ndim != 2 or faces.shape[1] != 3:
         raise InputError(f"{where}: faces: expected shape (F, 3), got {faces.shape}; triangulate the mesh first")
     if len(faces) == 0:
-        raise InputError(f"{where}: a mesh without faces; expected at least one triangle, got none; give a surface mesh")
+        raise InputError(
+            f"{where}: a mesh without faces; expected at least one triangle, got none; give a surface mesh"
+        )
     if not np.issubdtype(faces.dtype, np.integer):
         raise InputError(f"{where}: faces: expected integer indices, got {faces.dtype}")
     low, high = int(faces.min()), int(faces.max())

@@ -91,7 +91,7 @@ class Objective:
 
     # Tasks. Each is called once to be recorded, or at every iteration on CUDA.
 
-    def input_term(self, first: int, last: int) -> None:
+    def _input_term(self, first: int, last: int) -> None:
         """Move the clouds of transitions ``first .. last``, compare, and leave the gradient in their nodes."""
         p = self.problem
         begin, count = _span(p.moved_first, first, last)
@@ -137,7 +137,15 @@ class Objective:
         self.cloud_to_vertex.run(met_begin, met_count)
         results = (self._transform_weight, self._robust, self.loss_transform, adj)
         moving_to_fixed(
-            begin, count, flat, p.vertex_frame, self.vertex_to_cloud.index, p.cloud, p.normals, self._vertex_share, *results
+            begin,
+            count,
+            flat,
+            p.vertex_frame,
+            self.vertex_to_cloud.index,
+            p.cloud,
+            p.normals,
+            self._vertex_share,
+            *results,
         )
         fixed_to_moving(
             met_begin, met_count, p.cloud, p.normals, p.cloud_frame, self.cloud_to_vertex.index, flat,
@@ -182,14 +190,7 @@ class Objective:
         p = self.problem
         for s in range(first, last):
             source = int(p.transitions.source[s])
-            scatter_vertices(
-                0, p.vertex_count, s, source, self.levels, self.vertices, self.adj_motion, self.adj_nodes
-            )
-
-    def measure_input(self) -> None:
-        """The input term of every step for the nodes as they are, in ``loss_input``; its gradient is dropped."""
-        self.input_term(0, len(self.problem.transitions))
-        self.adj_nodes.zero_()
+            scatter_vertices(0, p.vertex_count, s, source, self.levels, self.vertices, self.adj_motion, self.adj_nodes)
 
     def chain_all(self) -> None:
         """All vertices of all frames for the nodes as they are."""
@@ -208,7 +209,7 @@ class Objective:
     def phases(self, warmup: bool) -> list[Phase]:
         """All phases of an evaluation; during warm-up only the input and mesh terms."""
         p, cpu = self.problem, self.problem.device.is_cpu
-        clouds = [partial(self.input_term, a, b) for a, b in self.steps()]
+        clouds = [partial(self._input_term, a, b) for a, b in self.steps()]
         if warmup:
             k = p.transitions.keyframe
             return [Phase("move", [*clouds, partial(self._compare, k, k + 1)])]

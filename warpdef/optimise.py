@@ -18,7 +18,7 @@ from warpdef.kernels.levels import node8
 from warpdef.kernels.schedule import SCHEDULE_SIZE, advance, clear_nodes, copy_vectors, template_gradient
 from warpdef.objective import Objective
 from warpdef.problem import Problem
-from warpdef.sobolev import Solver, SolveReport, grid_solver, solver_name, template_solver
+from warpdef.sobolev import SolveReport, grid_solver, solver_name, template_solver
 from warpdef.workers import Iteration, Phase, Team
 
 
@@ -60,9 +60,7 @@ class Optimiser:
         # Two of each: a conjugate-gradient solver starts from its own last solution.
         solvers = [grid_solver(problem.config, problem.levels, problem.kept, device) for _ in range(2)]
         self._pull_grid, self._push_grid = solvers
-        self._pull_shape, self._push_shape = (
-            template_solver(problem.config, problem.mesh, device) for _ in range(2)
-        )
+        self._pull_shape, self._push_shape = (template_solver(problem.config, problem.mesh, device) for _ in range(2))
         self.solves = SolveReport(solver_name(problem.config))
         self._warmup = Iteration(self._phases(warmup=True), device, team, capture)
         self._full = Iteration(self._phases(warmup=False), device, team, capture)
@@ -98,41 +96,21 @@ class Optimiser:
 
     # Tasks.
 
-    def advance(self, iterations: int, step: wp.array, schedule_out: wp.array) -> None:
-        """Fill a schedule for the next of ``iterations``."""
-        c = self.config
-        advance(iterations, c.decay == "cosine", c.beta1, c.beta2, step, schedule_out)
-
     def _advance(self) -> None:
-        self.advance(self.iterations, self._step, self._schedule)
+        c = self.config
+        advance(self.iterations, c.decay == "cosine", c.beta1, c.beta2, self._step, self._schedule)
         self._place_template()
 
     def _place_template(self) -> None:
         copy_vectors(self._shape, self.objective.vertices[self.problem.transitions.keyframe])
 
-    def descend_grids(self, first: int, last: int, schedule: wp.array) -> None:
-        """All of a step for the grids of transitions ``first .. last``, whose gradient is complete."""
-        self._pull_grid.solve(self._adj_nodes, self._adj_u, first, last)
-        self._descend(first, last, schedule)
-        self._push_grid.solve(self._u, self.nodes, first, last)
-
-    @property
-    def grid_state(self) -> tuple[wp.array, wp.array, wp.array]:
-        """What Adam moves and remembers, each (S, M) node8; after a change, ``push_grids``."""
-        return self._u, self._first, self._second
-
-    def push_grids(self) -> None:
-        """Nodes of all transitions from what Adam moves."""
-        self._push_grid.solve(self._u, self.nodes, 0, len(self.problem.transitions))
-
-    def _descend(self, first: int, last: int, schedule: wp.array | None = None) -> None:
+    def _descend(self, first: int, last: int) -> None:
         """Adam on the grids of transitions ``first .. last``; then their gradient is cleared for the next iteration."""
-        schedule = self._schedule if schedule is None else schedule
         nodes = self.problem.levels.node_count
         begin, count = first * nodes, (last - first) * nodes
         c = self.config
         state = [a.flatten() for a in (self._adj_u, self._first, self._second, self._u)]
-        adam(begin, count, self._rate, schedule, (c.beta1, c.beta2), c.epsilon, *state)
+        adam(begin, count, self._rate, self._schedule, (c.beta1, c.beta2), c.epsilon, *state)
         clear_nodes(begin, count, self._adj_nodes.flatten())
 
     def _descend_shape(self) -> None:

@@ -25,7 +25,6 @@ from warpdef.problem import Problem
 from warpdef.progress import Callback, Clock, Interruption, Progress, held_interrupts, peak_memory_mb
 from warpdef.refine import Refinement
 from warpdef.result import Reconstruction
-from warpdef.second_start import SecondStart
 from warpdef.sequence import PointSequence, Similarity
 from warpdef.template import ChosenTemplate, accept_user_template, choose_template
 from warpdef.workers import Team, find_device, usable_cores
@@ -93,7 +92,7 @@ def reconstruct(
                 refinement.prepare()
         with held_interrupts() as interruption:
             with clock.phase("optimise"):
-                steps, improved = _descend(optimiser, team, interruption, tell)
+                steps = _descend(optimiser, interruption, tell)
                 optimiser.finish()
             # Beyond the paper: every vertex of every frame on its own, and one shape for all frames.
             with clock.phase("refine"):
@@ -103,7 +102,7 @@ def reconstruct(
         vertices = into.from_cube(optimiser.objective.placed_vertices()).astype(np.float32)
 
     result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=steps)
-    result.report = _report(sequence, chosen, optimiser, steps, improved, interrupted, team.size, clock)
+    result.report = _report(sequence, chosen, optimiser, steps, interrupted, team.size, clock)
     return result
 
 
@@ -125,15 +124,10 @@ def _surface_normals(
     return [pca_normals(p, neighbours) if n is None else n for p, n in zip(clouds, given, strict=True)]
 
 
-def _descend(
-    optimiser: Optimiser, team: Team, interruption: Interruption, tell: Callback
-) -> tuple[list[dict[str, float]], list[int]]:
-    """All iterations of the grid stage, or those until Ctrl-C; the loss curve, and the steps started anew."""
+def _descend(optimiser: Optimiser, interruption: Interruption, tell: Callback) -> list[dict[str, float]]:
+    """All iterations of the grid stage, or those until Ctrl-C; returns the loss curve."""
     steps: list[dict[str, float]] = []
-    improved: list[int] = []
     while optimiser.done < optimiser.iterations and not interruption.asked:
-        if optimiser.done == optimiser.config.warmup > 0:
-            improved = SecondStart(optimiser, team).run()
         optimiser.step()
         if optimiser.done % _LOOK_EVERY == 0 or optimiser.done == optimiser.iterations:
             losses = optimiser.look()
@@ -144,7 +138,7 @@ def _descend(
                 )
             steps.append({"iteration": optimiser.done, **losses})
             tell(Progress("optimise", optimiser.done, optimiser.iterations, losses))
-    return steps, improved
+    return steps
 
 
 def _refine(refinement: Refinement, interruption: Interruption, tell: Callback) -> None:
@@ -160,7 +154,6 @@ def _report(
     chosen: ChosenTemplate,
     optimiser: Optimiser,
     steps: list[dict[str, float]],
-    improved: list[int],
     interrupted: bool,
     threads: int,
     clock: Clock,
@@ -188,7 +181,6 @@ def _report(
         },
         "iterations": optimiser.done,
         "interrupted": interrupted,
-        "started_anew": [[s, s + 1] for s in improved],
         "losses": {key: value for key, value in (steps[-1] if steps else {}).items() if key != "iteration"},
         "solver": {
             "name": solves.solver,

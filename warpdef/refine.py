@@ -126,9 +126,7 @@ class Refinement:
         fit_rotations(begin, count, *mesh, self._rest, o.vertices, self._rotation)
 
     def _ask_frames(self, begin: int, count: int) -> None:
-        rest_pull(
-            begin, count, self._row, self._column, self._rotation, self.objective.vertices, self._shape_pull
-        )
+        rest_pull(begin, count, self._row, self._column, self._rotation, self.objective.vertices, self._shape_pull)
 
     def _fit_shape(self) -> None:
         """(I + s L) y = y_old + s pull: the optimum L y = pull, at the cost of s^-1 of staying."""

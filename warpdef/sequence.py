@@ -62,7 +62,7 @@ class PointSequence:
             normals = [None] * frame_count
         if len(normals) != frame_count:
             raise InputError(
-                f"normals: expected {frame_count} frames as in points, got {len(normals)}; give normals for every frame, or none"
+                f"normals: expected {frame_count} frames as in points, got {len(normals)}; give them for all, or none"
             )
         kept, kept_normals, merged = [], [], []
         for frame_points, frame_normals, name in zip(points, normals, names, strict=True):
@@ -70,10 +70,12 @@ class PointSequence:
             n = _check_normals(frame_normals, len(p), name)
             p, n, dropped = _merge_duplicates(p, n)
             if len(p) == 1:
-                raise InputError(f"{name}: all points are equal; expected a surface, got a single position; drop this frame")
+                raise InputError(
+                    f"{name}: all points are equal; expected a surface, got a single position; drop this frame"
+                )
             if len(p) < MIN_POINTS:
                 raise InputError(
-                    f"{name}: expected at least {MIN_POINTS} different points, got {len(p)}; drop this frame or scan it again"
+                    f"{name}: expected at least {MIN_POINTS} different points, got {len(p)}; drop this frame"
                 )
             kept.append(p)
             kept_normals.append(n)
@@ -89,7 +91,7 @@ class PointSequence:
         chosen = self.points[frames]
         if len(chosen) < MIN_FRAMES:
             raise InputError(
-                f"--frames: expected at least {MIN_FRAMES} of the {len(self)} frames, got {len(chosen)}; widen the range"
+                f"--frames: expected at least {MIN_FRAMES} of {len(self)} frames, got {len(chosen)}; widen the range"
             )
         return PointSequence(chosen, self.normals[frames], self.names[frames], self.merged[frames])
 
@@ -126,7 +128,7 @@ def _check_points(points: np.ndarray, name: str) -> np.ndarray:
     bad = ~np.isfinite(points).all(axis=1)
     if bad.any():
         raise InputError(
-            f"{name}: points: expected finite coordinates, got NaN or infinity in {int(bad.sum())} of {len(points)} points "
+            f"{name}: points: expected finite coordinates, got NaN or infinity in {int(bad.sum())} of {len(points)} "
             f"(first: point {int(bad.argmax())}); remove them"
         )
     return points
