@@ -183,7 +183,7 @@ def test_warps_own_solver_takes_the_same_way(device: str, rng: np.random.Generat
 
 def test_the_first_step_is_adam_on_the_preconditioned_gradient(ellipsoid, device: str) -> None:
     """u moves by the rate against the sign of (I + lambda L)^-1 g, and x is (I + lambda L)^-1 u."""
-    config = configured(grid={"levels": 2}, optimiser={"warmup": 0, "decay": "constant"})
+    config = configured(grid={"levels": 2}, optimiser={"warmup": 0, "rate": 5e-3, "decay": "constant"})
     run = Run(ellipsoid, config, device, 1)
     found = run.optimiser.nodes.numpy()[..., :6].astype(np.float64)
     rates, lambdas = [5e-3, 5e-3 * 1.1], [0.25, 0.375]

@@ -176,13 +176,13 @@ class LossConfig:
 class OptimiserConfig:
     """Adam and its schedule (sec. Implementation Details)."""
 
-    iterations: int = 400
+    iterations: int = 300
     """Iterations for up to 17 frames."""
-    iterations_per_frame: float = 4.0
+    iterations_per_frame: float = 3.0
     """Further iterations for every frame beyond 17."""
     warmup: int = 50
     """First iterations, in which only the input and mesh terms act."""
-    rate: float = 5e-3
+    rate: float = 2e-2
     """Learning rate of level 1."""
     rate_growth: float = 1.1
     """Factor on the learning rate from a level to the next finer one."""
@@ -316,7 +316,9 @@ def preset(name: str) -> Config:
         loss=replace(base.loss, tangential=1.0),
         template=replace(base.template, depth=10),
         refine=replace(base.refine, iterations=0),
-        optimiser=replace(base.optimiser, iterations=5000, iterations_per_frame=80.0, warmup=100, decay="constant"),
+        optimiser=replace(
+            base.optimiser, iterations=5000, iterations_per_frame=80.0, warmup=100, rate=5e-3, decay="constant"
+        ),
     )
 
 

@@ -1,0 +1,214 @@
+"""Block conjugate gradients against a sparse direct solve; residuals are recomputed, not trusted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import synthetic
+import warp as wp
+from scipy.sparse import block_diag, csr_matrix, diags, identity, kron
+from scipy.sparse.linalg import spsolve
+
+from warpdef.kernels.block_cg import BlockSolver
+from warpdef.kernels.graphs import Graph, mesh_graph
+from warpdef.mesh import unique_edges
+
+FRAMES, ALPHA, BETA = 4, 0.3, 0.01
+
+
+@pytest.fixture(params=[False, True], ids=["frames", "stepwise"])
+def stepwise(request: pytest.FixtureRequest, device: str) -> bool:
+    """The CPU can run both ways; CUDA has the stepwise one."""
+    if device != "cpu" and not request.param:
+        pytest.skip("CUDA solves step by step")
+    return request.param
+
+
+@pytest.fixture
+def graph() -> Graph:
+    """A sphere of 162 vertices, and one vertex without edges, the last."""
+    vertices, faces = synthetic.icosphere(2)
+    return mesh_graph(unique_edges(faces), len(vertices) + 1, 1.0)
+
+
+@pytest.fixture
+def system(graph: Graph, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Blocks as planes make them, of rank 0 to 3, the first frame without any; and right-hand sides. Float32 numbers."""
+    count = len(graph.node)
+    normals = rng.normal(size=(FRAMES, count, 3, 3))
+    normals *= rng.integers(0, 2, (FRAMES, count, 3, 1)) * np.array([0, 0.5, 1, 2])[:, None, None, None]
+    matrix = np.einsum("tvka,tvkb->tvab", normals, normals).astype(np.float32)
+    assert set(np.linalg.matrix_rank(matrix[1:].reshape(-1, 3, 3))) == {0, 1, 2, 3}
+    return matrix, rng.normal(size=(FRAMES, count, 3)).astype(np.float32)
+
+
+def matrix_of(graph: Graph, blocks: np.ndarray, alpha: float, beta: float) -> csr_matrix:
+    """A + beta I + alpha L of one frame, float64; the numbers are those the kernel gets."""
+    count = len(graph.node)
+    alpha, beta = (float(np.float32(a)) for a in (alpha, beta))
+    adjacency = csr_matrix((np.ones(len(graph.column)), graph.column, graph.row), shape=(count, count))
+    scalar = alpha * (diags(np.diff(graph.row).astype(float)) - adjacency) + beta * identity(count)
+    return (block_diag(blocks.astype(np.float64)) + kron(scalar, identity(3))).tocsr()
+
+
+class Solve:
+    """One solver, all its frames; ``solution`` holds 7 where nobody wrote."""
+
+    def __init__(self, graph: Graph, device: str, stepwise: bool | None, tolerance=1e-5, iterations=300, frames=FRAMES):
+        self.graph, self.device, self.frames = graph, wp.get_device(device), frames
+        self.solver = BlockSolver(graph, frames, tolerance, iterations, self.device, stepwise)
+
+    def __call__(self, matrix, rhs, alpha=ALPHA, beta=BETA, spans=None) -> np.ndarray:
+        blocks = wp.array(matrix.astype(np.float32), dtype=wp.mat33, device=self.device)
+        asked = wp.array(rhs.astype(np.float32), dtype=wp.vec3, device=self.device)
+        solution = wp.full(rhs.shape[:2], wp.vec3(7.0, 7.0, 7.0), dtype=wp.vec3, device=self.device)
+        for first, last in spans or [(0, self.frames)]:
+            self.solver.solve(first, last, alpha, beta, blocks, asked, solution)
+        np.testing.assert_array_equal(asked.numpy(), rhs.astype(np.float32))
+        return solution.numpy()
+
+    def residuals(self, matrix, rhs, solution, alpha=ALPHA, beta=BETA) -> np.ndarray:
+        """|b - M x| / |b| of every frame, float64; 0 / 0 is 0."""
+        left = []
+        for blocks, b, x in zip(matrix, rhs.astype(np.float64), solution.astype(np.float64), strict=True):
+            r = b.ravel() - matrix_of(self.graph, blocks, alpha, beta) @ x.ravel()
+            left.append(np.linalg.norm(r) / (np.linalg.norm(b) or 1.0))
+        return np.array(left)
+
+    @property
+    def told(self) -> np.ndarray:
+        return self.solver.residual.numpy()
+
+    @property
+    def iterations(self) -> np.ndarray:
+        return self.solver.iterations.numpy()
+
+
+@pytest.mark.parametrize(("alpha", "beta"), [(ALPHA, BETA), (3.0, 0.1), (1e-3, 1.0)])
+def test_it_is_the_direct_solution(alpha, beta, graph, system, device: str, stepwise: bool) -> None:
+    solve, (matrix, rhs) = Solve(graph, device, stepwise), system
+    solution = solve(matrix, rhs, alpha, beta)
+    # The recurrence may drift from the true residual by float32 rounding, which the condition number feeds.
+    assert (solve.residuals(matrix, rhs, solution, alpha, beta) <= 2e-5).all()
+    assert (solve.told <= 1e-5).all() and (solve.iterations > 1).all()
+    for t in range(FRAMES):
+        m = matrix_of(graph, matrix[t], alpha, beta)
+        expected = spsolve(m.tocsc(), rhs[t].ravel().astype(np.float64)).reshape(-1, 3)
+        # |x - x*| <= |M^-1| |r|, and the smallest eigenvalue of M is beta at least.
+        bound = 2e-5 * np.linalg.norm(rhs[t]) / beta
+        assert np.linalg.norm(solution[t] - expected) <= bound
+        assert np.linalg.norm(solution[t] - expected) <= 1e-3 * np.linalg.norm(expected)
+
+
+def test_a_zero_right_hand_side_is_zero_at_once(graph, system, device: str, stepwise: bool) -> None:
+    """In every frame, or in one while the others go on."""
+    solve, (matrix, rhs) = Solve(graph, device, stepwise), system
+    rhs[2] = 0
+    solution = solve(matrix, rhs)
+    np.testing.assert_array_equal(solution[2], 0)
+    assert solve.iterations[2] == 0 and solve.told[2] == 0
+    assert (solve.residuals(matrix, rhs, solution) <= 2e-5).all()
+    assert (np.delete(solve.iterations, 2) > 1).all()
+    np.testing.assert_array_equal(solve(matrix, 0 * rhs), 0)
+    np.testing.assert_array_equal(solve.iterations, 0)
+    np.testing.assert_array_equal(solve.told, 0)
+
+
+def test_giving_up_is_said(graph, system, device: str, stepwise: bool) -> None:
+    solve, (matrix, rhs) = Solve(graph, device, stepwise, tolerance=1e-6, iterations=3), system
+    solution = solve(matrix, rhs)
+    np.testing.assert_array_equal(solve.iterations, 3)
+    assert (solve.told > 1e-6).all()
+    np.testing.assert_allclose(solve.told, solve.residuals(matrix, rhs, solution), rtol=1e-3)
+
+
+def test_a_loose_tolerance_stops_early_and_is_kept(graph, system, device: str, stepwise: bool) -> None:
+    solve, (matrix, rhs) = Solve(graph, device, stepwise, tolerance=1e-2), system
+    solution = solve(matrix, rhs)
+    assert (solve.residuals(matrix, rhs, solution) <= 1.01e-2).all()
+    fine = Solve(graph, device, stepwise)
+    fine(matrix, rhs)
+    assert (solve.iterations < fine.iterations).all()
+
+
+def test_frames_stop_apart(graph, system, device: str, stepwise: bool) -> None:
+    """A frame whose blocks hold every vertex is soon done and stands still while one without blocks goes on."""
+    matrix, rhs = system
+    matrix[3] = 1e3 * np.eye(3)
+    solve = Solve(graph, device, stepwise)
+    solution = solve(matrix, rhs)
+    assert solve.iterations[3] <= 3 < 10 < solve.iterations[0]
+    assert (solve.residuals(matrix, rhs, solution) <= 2e-5).all()
+
+
+def test_single_frames_are_all_frames(graph, system) -> None:
+    """CPU: spans of frames, in any order, give the bits of one call."""
+    matrix, rhs = system
+    whole, single = Solve(graph, "cpu", False), Solve(graph, "cpu", False)
+    expected = whole(matrix, rhs)
+    np.testing.assert_array_equal(single(matrix, rhs, spans=[(3, 4), (0, 1), (1, 3)]), expected)
+    np.testing.assert_array_equal(single.iterations, whole.iterations)
+    np.testing.assert_array_equal(single.told, whole.told)
+
+
+def test_a_span_leaves_the_others_alone(graph, system) -> None:
+    matrix, rhs = system
+    solve = Solve(graph, "cpu", False)
+    solution = solve(matrix, rhs, spans=[(1, 2)])
+    assert (solution[[0, 2, 3]] == 7).all() and (solution[1] != 7).any()
+    np.testing.assert_array_equal(solve.iterations[[0, 2, 3]], 0)
+    np.testing.assert_array_equal(solution[1], Solve(graph, "cpu", False)(matrix, rhs)[1])
+
+
+def test_both_ways_agree(graph, system) -> None:
+    """Steps, the way of CUDA, run on the CPU in the order in which a frame's own loop adds up."""
+    matrix, rhs = system
+    frames, steps = (Solve(graph, "cpu", way) for way in (False, True))
+    np.testing.assert_allclose(frames(matrix, rhs), steps(matrix, rhs), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(frames.iterations, steps.iterations, rtol=0, atol=1)
+    one, other = (Solve(graph, "cpu", way, iterations=5) for way in (False, True))
+    np.testing.assert_allclose(one(matrix, rhs), other(matrix, rhs), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(one.told, other.told, rtol=1e-3)
+
+
+def test_the_device_chooses_its_way(graph, system, device: str) -> None:
+    matrix, rhs = system
+    chosen, given = Solve(graph, device, None), Solve(graph, device, device != "cpu")
+    tolerance = 0 if device == "cpu" else 1e-4
+    np.testing.assert_allclose(chosen(matrix, rhs), given(matrix, rhs), rtol=0, atol=tolerance)
+
+
+def test_every_solve_starts_from_zero(graph, system, device: str, stepwise: bool) -> None:
+    """What an earlier solve left behind, converged or not, changes nothing."""
+    matrix, rhs = system
+    used = Solve(graph, device, stepwise)
+    used(matrix[::-1], 1e3 * rhs)
+    used(matrix, 0 * rhs)
+    fresh = Solve(graph, device, stepwise)
+    tolerance = 0 if device == "cpu" else 1e-4
+    np.testing.assert_allclose(used(matrix, rhs), fresh(matrix, rhs), rtol=0, atol=tolerance)
+    assert np.abs(used.iterations - fresh.iterations).max() <= (0 if device == "cpu" else 1)
+
+
+def test_without_edges_every_vertex_solves_its_own_block(graph, system, device: str, stepwise: bool) -> None:
+    """alpha = 0: the preconditioner is the inverse, and one step is all."""
+    matrix, rhs = system
+    solve = Solve(graph, device, stepwise)
+    solution = solve(matrix, rhs, alpha=0.0, beta=0.5)
+    blocks = matrix.astype(np.float64) + 0.5 * np.eye(3)
+    np.testing.assert_allclose(solution, np.linalg.solve(blocks, rhs[..., None])[..., 0], rtol=0, atol=1e-5)
+    assert (solve.iterations <= 2).all()
+
+
+def test_a_vertex_without_edges_and_block_is_only_damped(graph, system, device: str, stepwise: bool) -> None:
+    matrix, rhs = system
+    matrix[:, -1] = 0
+    solution = Solve(graph, device, stepwise)(matrix, rhs, alpha=1.0, beta=0.5)
+    np.testing.assert_allclose(solution[:, -1], rhs[:, -1] / 0.5, rtol=0, atol=1e-3)
+
+
+def test_one_vertex_one_frame(device: str, stepwise: bool) -> None:
+    lonely = mesh_graph(np.zeros((0, 2), int), 1, 1.0)
+    matrix, rhs = np.diag([1.0, 2.0, 3.0])[None, None], np.array([[[1.0, 1.0, 1.0]]])
+    solution = Solve(lonely, device, stepwise, frames=1)(matrix, rhs, beta=1.0)
+    np.testing.assert_allclose(solution, [[[1 / 2, 1 / 3, 1 / 4]]], rtol=1e-5)

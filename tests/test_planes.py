@@ -1,0 +1,257 @@
+"""Vertex normals, and the normal equations of symmetric point-to-plane pairs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import reference_refine as twin
+import synthetic
+import warp as wp
+import witness_refine
+from gradients import assert_gradients_close, finite_differences
+
+from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
+
+AGREEMENT = 0.3
+
+
+def put(a: np.ndarray, dtype, device: str) -> wp.array:
+    return wp.array(np.asarray(a, np.int32 if dtype is wp.int32 else np.float32), dtype=dtype, device=device)
+
+
+def spans(cuts, total: int):
+    places = [*cuts, total]
+    return [(a, b - a) for a, b in zip(places[:-1], places[1:], strict=True)]
+
+
+# Normals.
+
+
+def normals_of(vertices: np.ndarray, faces: np.ndarray, device: str, cuts=(0,)) -> np.ndarray:
+    """(T, V, 3), by the kernel."""
+    corner = np.argsort(faces.ravel(), kind="stable")
+    row = np.concatenate([[0], np.cumsum(np.bincount(faces.ravel(), minlength=vertices.shape[1]))])
+    around = [put(faces, wp.int32, device), put(row, wp.int32, device), put(corner // 3, wp.int32, device)]
+    out = put(np.full(vertices.shape, np.nan), wp.vec3, device)
+    for begin, count in spans(cuts, vertices.shape[0] * vertices.shape[1]):
+        vertex_normals(begin, count, *around, put(vertices, wp.vec3, device), out)
+    return out.numpy()
+
+
+def test_normals_match_the_twin(device: str, rng: np.random.Generator) -> None:
+    sphere, faces = synthetic.icosphere(1)
+    vertices = (sphere + 0.2 * rng.normal(size=(3, *sphere.shape))).astype(np.float32)
+    found = normals_of(vertices, faces, device)
+    expected = np.stack([twin.vertex_normals(v.astype(np.float64), faces) for v in vertices])
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=2), 1, rtol=1e-6)
+    np.testing.assert_array_equal(normals_of(vertices, faces, device, cuts=(0, 42, 50, 99)), found)
+
+
+def test_normals_of_a_sphere_point_outwards(device: str) -> None:
+    sphere, faces = synthetic.icosphere(2)
+    assert ((normals_of(sphere[None], faces, device)[0] * sphere).sum(axis=1) > 0.999).all()
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-3, 1e-6])
+def test_faces_without_area_and_vertices_without_faces(size: float, device: str) -> None:
+    """0, 1, 2: a triangle. 3, 4, 5: points in a row. 6, 6, 7: twice the same corner. 8: no face. 9 - 11: one place."""
+    vertices = np.zeros((1, 12, 3))
+    vertices[0, 1:3] = [[1, 0, 0], [0, 1, 0]]
+    vertices[0, 3:6] = [[0, 0, 1], [1, 0, 1], [2, 0, 1]]
+    vertices[0, 6:8] = [[3, 1, 0], [4, 1, 0]]
+    faces = np.array([[0, 1, 2], [3, 4, 5], [6, 6, 7], [9, 10, 11], [0, 0, 1]])
+    expected = np.zeros((1, 12, 3))
+    expected[0, :3] = [0, 0, 1]
+    np.testing.assert_array_equal(normals_of(size * vertices, faces, device), expected)
+
+
+# Pairs.
+
+
+class Scene:
+    """Two frames of random vertices and cloud points, their normals within or beyond agreement, all of them paired.
+
+    met: vertex to cloud; asked: cloud to vertex. Some have no partner.
+    """
+
+    def __init__(self, device: str, rng: np.random.Generator, vertices: int = 30, points: int = 90) -> None:
+        self.device, self.count = device, 2 * vertices
+        self.x, self.q = (rng.normal(size=(2 * n, 3)).astype(np.float32) for n in (vertices, points))
+        self.m, self.n = (_units(rng.normal(size=(2 * n, 3)) + [0, 0, 1]) for n in (vertices, points))
+        self.frame = {"met": np.repeat([0, 1], vertices), "asked": np.repeat([0, 1], points)}
+        self.index = {
+            "met": rng.integers(0, points, 2 * vertices) + points * self.frame["met"],
+            "asked": rng.integers(0, vertices, 2 * points) + vertices * self.frame["asked"],
+        }
+        for index in self.index.values():
+            index[::7] = -1
+        self.reach = np.array([1.5, 4.0], np.float32)
+
+    def run(self, way: str, start: float = 0.0, cuts=(0,), agreement: float = AGREEMENT):
+        """A (V, 3, 3) and b (V, 3) of all frames by the kernel, into arrays that hold ``start``."""
+        kernel = {"met": vertex_planes, "asked": cloud_planes}[way]
+        on, frame, index = self.device, self.frame[way], self.index[way]
+        matrix, pull = (
+            put(np.full((self.count, 3, 3), start), wp.mat33, on),
+            put(np.full((self.count, 3), start), wp.vec3, on),
+        )
+        mesh, cloud = ([put(a, wp.vec3, on) for a in pair] for pair in ((self.x, self.m), (self.q, self.n)))
+        pairing = (agreement, put(self.reach, wp.float32, on))
+        places = [put(a, wp.int32, on) for a in (frame, index)]
+        for begin, count in spans(cuts, len(frame)):
+            kernel(begin, count, pairing, *mesh, *places, *cloud, matrix, pull)
+        return matrix.numpy(), pull.numpy()
+
+    def planes(self, way: str, agreement: float = AGREEMENT) -> twin.Planes:
+        """The same pairs for the twin, those without a partner left out."""
+        paired = np.flatnonzero(self.index[way] >= 0)
+        other = self.index[way][paired]
+        vertex, point = (paired, other) if way == "met" else (other, paired)
+        x, m, q, n = (a.astype(np.float64) for a in (self.x[vertex], self.m[vertex], self.q[point], self.n[point]))
+        return twin.planes(x, m, q, n, vertex, self.reach[self.frame[way][paired]].astype(np.float64), agreement)
+
+
+def _units(a: np.ndarray) -> np.ndarray:
+    return (a / np.linalg.norm(a, axis=1, keepdims=True)).astype(np.float32)
+
+
+@pytest.fixture
+def scene(device: str, rng: np.random.Generator) -> Scene:
+    return Scene(device, rng)
+
+
+@pytest.fixture(params=["met", "asked"])
+def way(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def test_normal_equations_match_the_twin(scene: Scene, way: str) -> None:
+    planes = scene.planes(way)
+    left_out = (planes.a == 0).all(axis=1)
+    assert 5 < left_out.sum() < len(left_out) - 5
+    for found, expected in zip(scene.run(way), planes.normal_equations(scene.count), strict=True):
+        assert_gradients_close(found, expected)
+
+
+def test_the_pull_is_minus_half_the_gradient(scene: Scene, way: str) -> None:
+    """At no move, with planes, weights and pairs held."""
+    slope = finite_differences(scene.planes(way).energy, np.zeros((scene.count, 3)))
+    assert_gradients_close(scene.run(way)[1], -0.5 * slope)
+
+
+def test_the_matrix_is_half_the_second_derivative(scene: Scene, way: str, rng: np.random.Generator) -> None:
+    """The energy is a quadratic: E(d) = E(0) - 2 b . d + d . A d, whatever d is."""
+    planes, (matrix, pull) = scene.planes(way), scene.run(way)
+    np.testing.assert_array_equal(matrix, matrix.transpose(0, 2, 1))
+    moves = rng.normal(size=(20, scene.count, 3))
+    found = [-2 * (pull * d).sum() + np.einsum("ia,iab,ib->", d, matrix, d) for d in moves]
+    expected = [planes.energy(d) - planes.energy(0 * d) for d in moves]
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+def test_the_pull_matches_autodiff(scene: Scene, way: str) -> None:
+    planes, on = scene.planes(way), scene.device
+    paired = np.flatnonzero(scene.index[way] >= 0)
+    other = scene.index[way][paired]
+    x, q = (scene.x[paired], scene.q[other]) if way == "met" else (scene.x[other], scene.q[paired])
+    move = wp.zeros(scene.count, dtype=wp.vec3, device=on, requires_grad=True)
+    loss = wp.zeros(1, dtype=wp.float32, device=on, requires_grad=True)
+    held = [put(planes.owner, wp.int32, on), put(x - q, wp.vec3, on)]
+    held += [put(planes.a, wp.vec3, on), put(planes.w, wp.float32, on)]
+    with wp.Tape() as tape:
+        wp.launch(witness_refine.plane_pairs, len(paired), inputs=[move, *held, loss], device=on)
+    tape.backward(loss)
+    assert_gradients_close(scene.run(way)[1], -0.5 * move.grad.numpy())
+
+
+def test_vertices_write_and_points_add(scene: Scene) -> None:
+    for found, fresh in zip(scene.run("met", start=5.0), scene.run("met"), strict=True):
+        np.testing.assert_array_equal(found, fresh)
+    for found, fresh in zip(scene.run("asked", start=5.0), scene.run("asked"), strict=True):
+        np.testing.assert_allclose(found, fresh + 5.0, rtol=0, atol=1e-5)
+
+
+def test_no_partner_no_plane(scene: Scene, way: str) -> None:
+    found = scene.run("met")
+    lonely = scene.index["met"] < 0
+    assert lonely.any() and not any(a[lonely].any() for a in found)
+    scene.index[way][:] = -1
+    assert not any(a.any() for a in scene.run(way))
+
+
+def test_spans_are_the_whole(scene: Scene, way: str) -> None:
+    whole = scene.run(way)
+    for found, expected in zip(scene.run(way, cuts=(0, 1, 30, 44)), whole, strict=True):
+        # CUDA adds what several points ask of a vertex in any order.
+        tolerance = 1e-5 if way == "asked" and scene.device != "cpu" else 0
+        np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
+
+
+class Pair:
+    """One vertex and one point, each the other's partner; both kernels must say the same."""
+
+    def __init__(self, device: str, x, m, q, n, reach: float = 1.0) -> None:
+        scene = self.scene = Scene.__new__(Scene)
+        scene.device, scene.count = device, 1
+        scene.x, scene.m, scene.q, scene.n = (np.array([a], np.float32) for a in (x, m, q, n))
+        scene.frame = scene.index = {"met": np.array([0]), "asked": np.array([0])}
+        scene.reach = np.array([reach], np.float32)
+
+    def run(self, agreement: float = AGREEMENT) -> tuple[np.ndarray, np.ndarray]:
+        (matrix, pull), asked = (self.scene.run(way, agreement=agreement) for way in ("met", "asked"))
+        np.testing.assert_array_equal(matrix, asked[0])
+        np.testing.assert_array_equal(pull, asked[1])
+        return matrix[0], pull[0]
+
+
+def test_a_pair_by_hand(device: str) -> None:
+    """A point 0.5 above along z pulls up; sideways it pulls nothing, but is farther."""
+    up = [0, 0, 1]
+    matrix, pull = Pair(device, [0, 0, 0], up, [2, 0, 0.5], up, reach=3.0).run()
+    weight = np.exp(-4.25 / 9)
+    np.testing.assert_allclose(pull, [0, 0, 0.5 * weight], rtol=1e-6)
+    np.testing.assert_allclose(matrix, weight * np.diag([0, 0, 1]), rtol=1e-6)
+
+
+def test_normals_that_disagree_are_left_out(device: str) -> None:
+    def plane(cosine: float, agreement: float) -> np.ndarray:
+        n = [np.sqrt(1 - cosine**2), 0, cosine]
+        return Pair(device, [0, 0, 0], [0, 0, 1], [0, 0, 0.1], n).run(agreement)[0]
+
+    for agreement in (-0.5, 0.0, 0.5):
+        assert plane(agreement + 0.01, agreement).any()
+        assert not plane(agreement - 0.01, agreement).any()
+    assert not plane(-1.0, -1.0).any()  # opposed: their sum is no direction
+
+
+def test_unknown_normals_are_left_out(device: str) -> None:
+    for m, n in (([0, 0, 0], [0, 0, 1]), ([0, 0, 1], [0, 0, 0]), ([0, 0, 0], [0, 0, 0])):
+        assert not any(a.any() for a in Pair(device, [0, 0, 0], m, [0, 0, 0.1], n).run(0.0))
+
+
+def test_far_pairs_fade(device: str) -> None:
+    """At the reach to 1/e, far away to nothing; however near, a pair counts once."""
+    up, reach, distances = [0, 0, 1], 0.1, np.array([0, 0.05, 0.1, 0.2, 0.5, 10])
+    found = [Pair(device, [0, 0, d], up, [0, 0, 0], up, reach).run() for d in distances]
+    weights = np.array([matrix[2, 2] for matrix, _ in found])
+    np.testing.assert_allclose(weights, np.exp(-((distances / reach) ** 2)), rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose([pull[2] for _, pull in found], -weights * distances, rtol=1e-6)
+    assert weights[0] == 1 and weights[-1] == 0
+    assert all(np.isfinite(a).all() for pair in found for a in pair)
+
+
+def test_each_frame_has_its_own_reach(scene: Scene, way: str) -> None:
+    before = scene.run(way)
+    scene.reach[1] *= 2
+    for a, b in zip(before, scene.run(way), strict=True):
+        np.testing.assert_array_equal(a[:30], b[:30])
+        assert (np.abs(a[30:] - b[30:]).max(axis=0) > 0).all()
+
+
+def test_a_vertex_that_slides_on_a_sphere_is_not_pulled(device: str, rng: np.random.Generator) -> None:
+    """What the common normal is for: a . (x - q) is 0 for any two points of a sphere; with n alone it is |x - q|^2 / 2."""
+    for q, n in zip(_units(rng.normal(size=(20, 3))), _units(rng.normal(size=(20, 3))), strict=True):
+        x = _units((q + 0.3 * n)[None])[0]
+        pair = Pair(device, x, x, q, q, reach=10.0)
+        assert np.abs(pair.run()[1]).max() < 1e-6
