@@ -176,6 +176,9 @@ def targets(report: dict, size: str, kind: str) -> list[dict]:
         values["warm_start_s"] = report["start"]["warm"]["first_s"]
         values["peak_memory_mb"] = report["start"]["warm"]["peak_mb"]
         values["device_memory_mb"] = report["start"]["warm"]["device_mb"]
+    for sweep in report["scaling"]:
+        if sweep["field"] == "largest":
+            values["largest_peak_mb"] = sweep["points"][0]["peak_mb"]
     judged = size == WORK.name
     return [
         {

@@ -8,6 +8,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from warpdef.apps.bench_sizes import EXPONENT_MAX
 from warpdef.apps.console import key_value_table, print_table
 
 _LARGEST_SHARES = 12  # kernels shown of an iteration
@@ -141,6 +142,9 @@ def _sweep(sweep: Mapping[str, Any]) -> Table:
         table.add_section()
         for title, end in (("exponent", ""), ("last two", "_top")):
             table.add_row(title, *(f"{fitted[key + end]:.2f}" for key in ("ms", "arrays_mb", "peak_mb")))
+    if sweep["within"] is not None:
+        bound = f"at most {EXPONENT_MAX}"
+        table.add_row(bound, *("yes" if fitted[key] <= EXPONENT_MAX else "NO" for key in ("ms", "arrays_mb")), "")
     return table
 
 

@@ -22,23 +22,25 @@ wp.set_module_options(MODULE_OPTIONS)
 
 @wp.func
 def ratio(a: float, b: float) -> float:
-    """a / b, and 0 where b is 0: a component that is solved exactly stands still."""
+    """a / b, and 0 where b is 0: a component that is solved exactly stands still. NaN stays NaN."""
     q = float(0.0)
-    if b > 0.0:
+    if b != 0.0:
         q = a / b
     return q
 
 
 @wp.func
 def worst_residual_sq(r_sq: Any, b_sq: Any) -> float:
-    """Largest |r|^2 / |b|^2 of the components; a zero right-hand side asks for a zero residual."""
+    """Largest |r|^2 / |b|^2 of the components; a zero right-hand side asks for a zero residual. NaN wins."""
     worst = float(0.0)
     for c in range(len(r_sq)):
-        if r_sq[c] > 0.0:
-            if b_sq[c] > 0.0:
-                worst = wp.max(worst, r_sq[c] / b_sq[c])
-            else:
-                worst = wp.max(worst, 1.0)
+        share = float(0.0)
+        if r_sq[c] != 0.0:
+            share = 1.0
+            if b_sq[c] != 0.0:
+                share = r_sq[c] / b_sq[c]
+        if worst == worst and not (share <= worst):
+            worst = share
     return worst
 
 

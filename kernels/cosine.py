@@ -18,46 +18,73 @@ from warpdef.kernels.levels import LevelTable, node8
 
 wp.set_module_options(MODULE_OPTIONS)
 
-# Along one axis: out[b, k, :] = sum_j C[k, j] in[b, j, :], rows of `length` registers. Four outputs at a time, so
-# that every input register is loaded once for four products. CPU only; CUDA has its own kernel below.
+_RESOLUTION_MAX = 31  # level 16, the finest that the configuration allows
+
+# Six passes along x, y, z and back. Basis vector k of a path is even or odd about its middle as k is, so sums and
+# differences of mirrored entries need only half of the matrix: h = n // 2 odd and m = n - h even vectors (n is odd).
+# `halves` holds, one behind the other, the even half (m x m) and the odd half (h x h), then both transposed. Four
+# outputs at a time, so that every register is loaded once for four products. CPU only; CUDA has its own kernel below.
 _PASSES = """
 #if !defined(__CUDA_ARCH__)
     typedef float reg __attribute__((vector_size(32), aligned(4)));
     const int n = levels.data[2 * level];
+    const int h = n / 2, m = n - h;
     const size_t begin = ((size_t)transition * rhs.shape[1] + levels.data[2 * level + 1]) * 8;
-    const float* const matrix = matrices.data + matrix_offset.data[level];
     const float* const mu = eigenvalues.data + eigenvalue_offset.data[level];
     const float* source = (const float*)rhs.data + begin;
     float* const one = (float*)scratch.data + begin;
     float* const two = (float*)solution.data + begin;
+    reg parts[2][MOST], sums[2][MOST];
     for (int pass = 0; pass < 6; ++pass) {
-        // Forwards x, y, z, then back z, y, x.
         const int axis = pass < 3 ? pass : 5 - pass;
-        const int backwards = pass >= 3;
+        const int back = pass >= 3;
         const int length = axis == 0 ? n * n : (axis == 1 ? n : 1);
         const int batch = n * n / length;
-        const int step_k = backwards ? 1 : n, step_j = backwards ? n : 1;
+        const float* const matrix = halves.data + half_offset.data[level] + (back ? m * m + h * h : 0);
         float* const target = pass % 2 == 0 ? one : two;
         for (int b = 0; b < batch; ++b) {
             const reg* in = (const reg*)source + (size_t)b * n * length;
             reg* out = (reg*)target + (size_t)b * n * length;
             for (int c = 0; c < length; ++c) {
-                int k = 0;
-                for (; k + 4 <= n; k += 4) {
-                    const float* m = matrix + k * step_k;
-                    reg a0 = {}, a1 = {}, a2 = {}, a3 = {};
-                    for (int j = 0; j < n; ++j, m += step_j) {
-                        const reg x = in[(size_t)j * length + c];
-                        a0 += x * m[0]; a1 += x * m[step_k]; a2 += x * m[2 * step_k]; a3 += x * m[3 * step_k];
+                if (back) {
+                    for (int k = 0; k < m; ++k) parts[0][k] = in[(size_t)(2 * k) * length + c];
+                    for (int k = 0; k < h; ++k) parts[1][k] = in[(size_t)(2 * k + 1) * length + c];
+                } else {
+                    for (int j = 0; j < h; ++j) {
+                        const reg x = in[(size_t)j * length + c], y = in[(size_t)(n - 1 - j) * length + c];
+                        parts[0][j] = x + y; parts[1][j] = x - y;
                     }
-                    out[(size_t)k * length + c] = a0; out[(size_t)(k + 1) * length + c] = a1;
-                    out[(size_t)(k + 2) * length + c] = a2; out[(size_t)(k + 3) * length + c] = a3;
+                    parts[0][h] = in[(size_t)h * length + c];
                 }
-                for (; k < n; ++k) {
-                    const float* m = matrix + k * step_k;
-                    reg a = {};
-                    for (int j = 0; j < n; ++j, m += step_j) a += in[(size_t)j * length + c] * m[0];
-                    out[(size_t)k * length + c] = a;
+                for (int odd = 0; odd < 2; ++odd) {
+                    const int size = odd ? h : m;
+                    const float* row = matrix + (odd ? m * m : 0);
+                    const reg* const part = parts[odd];
+                    int k = 0;
+                    for (; k + 4 <= size; k += 4, row += 4 * size) {
+                        reg a0 = {}, a1 = {}, a2 = {}, a3 = {};
+                        for (int j = 0; j < size; ++j) {
+                            const reg x = part[j];
+                            a0 += x * row[j]; a1 += x * row[size + j];
+                            a2 += x * row[2 * size + j]; a3 += x * row[3 * size + j];
+                        }
+                        sums[odd][k] = a0; sums[odd][k + 1] = a1; sums[odd][k + 2] = a2; sums[odd][k + 3] = a3;
+                    }
+                    for (; k < size; ++k, row += size) {
+                        reg a = {};
+                        for (int j = 0; j < size; ++j) a += part[j] * row[j];
+                        sums[odd][k] = a;
+                    }
+                }
+                if (back) {
+                    for (int j = 0; j < h; ++j) {
+                        out[(size_t)j * length + c] = sums[0][j] + sums[1][j];
+                        out[(size_t)(n - 1 - j) * length + c] = sums[0][j] - sums[1][j];
+                    }
+                    out[(size_t)h * length + c] = sums[0][h];
+                } else {
+                    for (int k = 0; k < m; ++k) out[(size_t)(2 * k) * length + c] = sums[0][k];
+                    for (int k = 0; k < h; ++k) out[(size_t)(2 * k + 1) * length + c] = sums[1][k];
                 }
             }
         }
@@ -69,7 +96,7 @@ _PASSES = """
         source = target;
     }
 #endif
-"""
+""".replace("MOST", str(_RESOLUTION_MAX // 2 + 1))
 
 
 @wp.func_native(_PASSES)
@@ -78,8 +105,8 @@ def solve_level(
     level: int,
     levels: wp.array(dtype=wp.int32),
     lambda_: float,
-    matrices: wp.array(dtype=wp.float32),
-    matrix_offset: wp.array(dtype=wp.int32),
+    halves: wp.array(dtype=wp.float32),
+    half_offset: wp.array(dtype=wp.int32),
     eigenvalues: wp.array(dtype=wp.float32),
     eigenvalue_offset: wp.array(dtype=wp.int32),
     rhs: wp.array2d(dtype=node8),
@@ -94,8 +121,8 @@ def _solve_levels(
     first_transition: int,
     levels: wp.array(dtype=wp.int32),
     lambdas: wp.array(dtype=wp.float32),
-    matrices: wp.array(dtype=wp.float32),
-    matrix_offset: wp.array(dtype=wp.int32),
+    halves: wp.array(dtype=wp.float32),
+    half_offset: wp.array(dtype=wp.int32),
     eigenvalues: wp.array(dtype=wp.float32),
     eigenvalue_offset: wp.array(dtype=wp.int32),
     rhs: wp.array2d(dtype=node8),
@@ -108,7 +135,7 @@ def _solve_levels(
     k = wp.tid()
     level = k % count
     solve_level(
-        first_transition + k // count, level, levels, lambdas[level], matrices, matrix_offset,
+        first_transition + k // count, level, levels, lambdas[level], halves, half_offset,
         eigenvalues, eigenvalue_offset, rhs, scratch, solution_out,
     )  # fmt: skip
 
@@ -169,6 +196,13 @@ def cosine_matrix(n: int) -> np.ndarray:
     return matrix
 
 
+def mirrored_halves(n: int) -> np.ndarray:
+    """``cosine_matrix`` of an odd n less what mirror symmetry repeats: even half, odd half, both transposed; flat."""
+    matrix, m = cosine_matrix(n), n - n // 2
+    even, odd = matrix[0::2, :m], matrix[1::2, : m - 1]
+    return np.concatenate([part.ravel() for part in (even, odd, even.T, odd.T)])
+
+
 class CosineSolver:
     """``(I + lambda_l L_l)^-1`` for every level of every transition, full grids.
 
@@ -179,6 +213,8 @@ class CosineSolver:
 
     def __init__(self, levels: LevelTable, lambdas: np.ndarray, transition_count: int, device: wp.Device) -> None:
         resolution = [int(n) for n in levels.resolution]
+        if max(resolution) > _RESOLUTION_MAX:
+            raise ValueError(f"levels: expected at most {_RESOLUTION_MAX} nodes an axis, got {max(resolution)}")
         mu = [2.0 - 2.0 * np.cos(np.pi * np.arange(n) / n) for n in resolution]
 
         def upload(rows: list[np.ndarray]) -> tuple[wp.array, wp.array]:
@@ -190,7 +226,9 @@ class CosineSolver:
         self._levels = levels.to_device(device)
         self._node_level = wp.array(levels.node_level(), dtype=wp.int32, device=device)
         self._lambdas = wp.array(lambdas, dtype=wp.float32, device=device)
-        self._tables = [*upload([cosine_matrix(n) for n in resolution]), *upload(mu)]
+        eigenvalues = upload(mu)
+        self._halves = [*upload([mirrored_halves(n) for n in resolution]), *eigenvalues]
+        self._tables = [*upload([cosine_matrix(n) for n in resolution]), *eigenvalues]
         self._scratch = wp.zeros((transition_count, levels.node_count), dtype=node8, device=device)
 
     def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None:
@@ -200,7 +238,7 @@ class CosineSolver:
             rhs, solution_out: shape (S, M) node8, not the same array.
         """
         if self._device.is_cpu:
-            inputs = [first, self._levels, self._lambdas, *self._tables, rhs, self._scratch, solution_out]
+            inputs = [first, self._levels, self._lambdas, *self._halves, rhs, self._scratch, solution_out]
             launch(_solve_levels, (last - first) * len(self._lambdas), inputs, self._device)
             return
         self.solve_by_axis(rhs, solution_out)

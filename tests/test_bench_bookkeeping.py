@@ -273,7 +273,7 @@ def test_targets_are_judged_at_their_size_only() -> None:
     def ratio(size: str, threads: int, value: float, error: str | None = None) -> dict:
         return {"size": size, "threads": threads, "ratio": value, "iteration_ms": 1.0, "error": error}
 
-    base = {"environment": {"threads": 4}, "start": {}}
+    base = {"environment": {"threads": 4}, "start": {}, "scaling": []}
     found = targets(
         {**base, "ratios": [ratio("work", 1, 0.4), ratio("work", 4, 0.4), ratio("small", 4, 9)]}, "work", "cpu"
     )

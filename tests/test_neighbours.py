@@ -7,7 +7,7 @@ import pytest
 import reference
 import warp as wp
 
-from warpdef.kernels.neighbours import NearestSearch, PointGrid, cells_per_axis
+from warpdef.kernels.neighbours import NearestSearch, PointGrid, fit_cells
 
 
 def upload(points: np.ndarray, device: str) -> wp.array:
@@ -78,21 +78,43 @@ def test_exact_against_brute_force(kind: str, device: str, rng: np.random.Genera
     assert_nearest(queries, targets, find(grid, queries, np.zeros(len(queries))))
 
 
-@pytest.mark.parametrize("resolution", [4, 5, 8, 13, 27, 32, 64])
-def test_exact_at_every_resolution(resolution: int, device: str, rng: np.random.Generator) -> None:
-    # The resolution follows from the size: reach it with a few points by shrinking the wanted number of points a cell.
+@pytest.mark.parametrize("per_point", [0.01, 0.1, 1.0, 8.0, 100.0, 800.0])
+def test_exact_for_cells_of_every_size(per_point: float, device: str, rng: np.random.Generator) -> None:
     targets, queries = targets_of("uniform", 300, rng), queries_everywhere(rng)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("warpdef.kernels.neighbours.cells_per_axis", lambda _: resolution)
+        patch.setattr("warpdef.kernels.neighbours._CELLS_PER_POINT", per_point)
         grid = PointGrid(upload(targets, device), [len(targets)])
-    assert grid.resolution == resolution
+    wanted = max(300 * per_point, 8)
+    assert wanted / 8 <= grid.cells.nx * grid.cells.ny * grid.cells.nz <= wanted
     grid.build()
     assert_nearest(queries, targets, find(grid, queries, np.zeros(len(queries))))
 
 
-def test_the_resolution_stays_within_its_bounds() -> None:
-    found = [cells_per_axis(float(n)) for n in (1, 100, 1000, 10_000, 100_000, 10**8)]
-    assert found == sorted(found) and found[0] == 4 and found[-1] == 64
+@pytest.mark.parametrize(
+    "box",
+    [
+        [[-0.1, -0.2, -0.1], [0.1, 0.2, 0.3]],  # most targets lie outside
+        [[-5, -5, -5], [5, 5, 5]],  # all in a few cells
+        [[-1, -1, 0.5], [1, 1, 0.5]],  # flat
+        [[0, 0, 0], [0, 0, 0]],  # a point
+        [[2, 2, 2], [3, 3, 3]],  # elsewhere
+    ],
+)
+def test_exact_wherever_the_box_is(box: list, device: str, rng: np.random.Generator) -> None:
+    targets, queries = targets_of("uniform", 300, rng), queries_everywhere(rng)
+    grid = PointGrid(upload(targets, device), [len(targets)], np.array(box, dtype=float))
+    grid.build()
+    assert_nearest(queries, targets, find(grid, queries, np.zeros(len(queries))))
+
+
+def test_the_number_of_cells_stays_within_its_bound() -> None:
+    lower, upper = np.array([-1.0, -0.5, 0.0]), np.array([1.0, 0.5, 0.3])
+    found = [fit_cells(lower, upper, n) for n in (1, 100, 10_000, 10**6, 10**8)]
+    counts = [c.nx * c.ny * c.nz for c in found]
+    assert counts == sorted(counts) and counts[-1] <= 2**18
+    for c in found:
+        covered = np.array([c.nx, c.ny, c.nz]) * c.size
+        assert (np.array(c.lower) <= lower + 1e-6).all() and (np.array(c.lower) + covered >= upper - 1e-6).all()
 
 
 def test_groups_do_not_see_each_other(device: str, rng: np.random.Generator) -> None:

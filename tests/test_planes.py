@@ -250,7 +250,7 @@ def test_each_frame_has_its_own_reach(scene: Scene, way: str) -> None:
 
 
 def test_a_vertex_that_slides_on_a_sphere_is_not_pulled(device: str, rng: np.random.Generator) -> None:
-    """What the common normal is for: a . (x - q) is 0 for any two points of a sphere; with n alone it is |x - q|^2 / 2."""
+    """What the common normal is for: a . (x - q) is 0 for any two points of a sphere."""
     for q, n in zip(_units(rng.normal(size=(20, 3))), _units(rng.normal(size=(20, 3))), strict=True):
         x = _units((q + 0.3 * n)[None])[0]
         pair = Pair(device, x, x, q, q, reach=10.0)

@@ -66,7 +66,7 @@ class Scene:
         return np.abs(length - 1) * length / np.linalg.norm(scaled / AXES, axis=2)
 
     def waves(self, count: int, size: float, rng: np.random.Generator) -> np.ndarray:
-        """Bodies displaced along their normals by smooth noise, ``size`` root mean square, another in each: (count, V, 3)."""
+        """Bodies displaced along their normals by smooth noises, ``size`` root mean square, (count, V, 3)."""
         x, y, z = (self.body / AXES).T
         smooth = np.stack([x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1, x, y, z], axis=1)
         height = np.einsum("vs,ts->tv", smooth, rng.normal(size=(count, smooth.shape[1])))
@@ -84,7 +84,7 @@ def mean_square(a: np.ndarray, axis=None) -> np.ndarray:
 
 
 class Run:
-    """Rounds of the stage from the given vertices, in the template's order. ``normals``: None for those of the scene."""
+    """Rounds of the stage from these vertices, in the template's order. ``normals``: None for those of the scene."""
 
     def __init__(
         self,
@@ -164,9 +164,9 @@ def test_the_start_takes_the_keyframes_shape_and_moves_nothing(scene: Scene, sha
 
 
 def test_any_number_of_threads_gives_the_same_bits(rng: np.random.Generator) -> None:
-    """Enough vertices that the shape's phase is several tasks as well."""
-    scene = Scene.make(5, 300, rng, subdivisions=3)
-    assert len(scene.body) < 1024
+    """Enough vertices that the phase in which they ask all frames is several tasks as well."""
+    scene = Scene.make(5, 300, rng, subdivisions=4)
+    assert len(scene.body) > 2 * 1024
     bodies = np.tile(scene.body, (5, 1, 1)) + 0.01 * rng.normal(size=(5, len(scene.body), 3))
     start = scene.posed(bodies)
     runs = [Run(scene, start, "cpu", 4, threads=n) for n in (1, 2, 3)]
@@ -199,14 +199,13 @@ def test_the_vertices_keep_the_templates_order(scene: Scene, shaken: np.ndarray,
 
 
 def test_smooth_noise_is_taken_back_to_the_surface(device: str, rng: np.random.Generator) -> None:
-    """At most a quarter of the displacement is left, beside what is left of none.
+    """At most a tenth of the displacement is left, beside what is left of none.
 
     Where the stage comes to rest, a displacement e of a wave with eigenvalue mu of L is held by the shape with
-    rigidity mu e, and drawn back by planes of weight a at each vertex: e = rigidity mu / (a + rigidity mu) of what it
-    was. mu is at most twice the largest degree, 12: rigidity mu <= 1.2. a is the pairs of a vertex, its own and
-    500 / 162 that ask for it, times exp(-(d / reach)^2): at d = 0.06, twice the noise, and a reach of three spacings
-    (0.11) that is above 0.7, so a > 2.8, and 1.2 / (2.8 + 1.2) < 1/3 for the roughest wave. Those here have
-    mu < 2 (l = 2 on a sphere, edges of 0.3 rad), 0.2 / 3 of their size; a quarter is ample.
+    rigidity mu e, and drawn back by planes of weight a at each vertex: rigidity mu / (a + rigidity mu) of it is left.
+    a: the pairs of a vertex, its own and 500 / 162 that ask for it, times exp(-(d / reach)^2), above 0.7 for d of twice
+    the noise and a reach of three spacings, 0.11; so a > 2.8. mu: on a sphere 1.5 h^2 l (l + 1) = 0.8 for the waves
+    here, l = 2, and edges of h = 0.3; below 2 with all that is uneven. 0.1 * 2 / (2.8 + 0.1 * 2) < 0.07.
     """
     scene = Scene.make(5, 500, rng)
     start = scene.posed(scene.waves(5, 0.03, rng))
@@ -219,46 +218,37 @@ def test_smooth_noise_is_taken_back_to_the_surface(device: str, rng: np.random.G
         )
     )
     assert (floor < 0.1 * before).all(), f"{floor} of {before}"
-    assert (after < 0.25 * before + floor).all(), f"{after}, before {before}, floor {floor}"
+    assert (after < 0.1 * before + floor).all(), f"{after}, before {before}, floor {floor}"
 
 
 def test_the_frames_fill_in_one_shape(device: str, rng: np.random.Generator) -> None:
-    """A wrong template; odd frames see one end only, even ones the other: what a frame does not see, the others know.
+    """A template squashed across; odd frames see one end only, even ones the other: what one misses, the others know.
 
-    Without the common shape's step what is unseen keeps the template's error, give or take what reaches over the rim.
+    Without the common shape's step what is unseen gets what reaches over the rim, and the shape stays as it was.
     """
     ends = [lambda p: p[:, 0] < 0.05, lambda p: p[:, 0] > -0.05]
     scene = Scene.make(6, 600, rng, seen=lambda t, p: ends[t % 2](p))
-    wrong = scene.waves(1, 0.03, rng)[0]
+    _, y, z = (scene.body / AXES).T
+    wrong = scene.body + 0.04 * (y * y - z * z)[:, None] * scene.axis
     start = scene.posed(np.tile(wrong, (6, 1, 1)))
-    unseen = np.stack(
-        [
-            np.abs(scene.body[:, 0]) > 0.2,
-        ]
-        * 6
-    )
-    unseen &= np.stack([~ends[t % 2](scene.body) for t in range(6)])
-    runs = {
-        step: Run(scene, start, device, 40, keyframe=2, shape_step=step) for step in (0.0, Config().refine.shape_step)
-    }
+    unseen = np.stack([~ends[t % 2](scene.body) & (np.abs(scene.body[:, 0]) > 0.2) for t in range(6)])
+    runs = [Run(scene, start, device, 20, keyframe=2, shape_step=s) for s in (0.0, Config().refine.shape_step)]
     before, alone, together = (
-        mean_square(scene.off_surface(v)[unseen]) for v in (start, *(run.vertices for run in runs.values()))
+        mean_square(scene.off_surface(v)[unseen]) for v in (start, *(run.vertices for run in runs))
     )
-    assert alone > 0.5 * before > together, f"{before} before, {alone} alone, {together} together"
-
-    np.testing.assert_array_equal(runs[0.0].rest, start[2].astype(np.float32))
-    shapes = [shape_error(scene, run.rest) for run in runs.values()]
-    assert shapes[1] < 0.5 * shapes[0], f"{shapes[1]} of {shapes[0]}"
+    assert alone > 0.25 * before and together < 0.25 * alone, f"{before} before, {alone} alone, {together} together"
+    np.testing.assert_array_equal(runs[0].rest, start[2].astype(np.float32))
+    shapes = [shape_error(scene, run.rest) for run in runs]
+    assert shapes[1] < 0.25 * shapes[0], f"{shapes[1]} of {shapes[0]}"
 
 
 def shape_error(scene: Scene, rest: np.ndarray) -> float:
-    """Distance of a rest shape to the ellipsoid, wherever it lies: it is moved rigidly onto the true vertices."""
+    """Distance of a rest shape to the ellipsoid, wherever it lies: it is moved rigidly onto the true vertices first."""
     a, b = (v - v.mean(axis=0) for v in (rest.astype(np.float64), scene.body))
     turn = twin.nearest_rotation(b.T @ a)
     placed = a @ turn.T + scene.body.mean(axis=0)
-    return float(
-        mean_square(Scene.off_surface(replace(scene, turn=np.eye(3)[None], shift=np.zeros((1, 3))), placed[None]))
-    )
+    upright = replace(scene, turn=np.eye(3)[None], shift=np.zeros((1, 3)))
+    return float(mean_square(upright.off_surface(placed[None])))
 
 
 def test_a_true_start_stays_and_is_rigid(scene: Scene, device: str) -> None:

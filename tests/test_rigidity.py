@@ -82,7 +82,7 @@ def assert_rotations(found: np.ndarray) -> None:
 
 
 def stars(count: int, rng: np.random.Generator, extent=(1.0, 1.0, 1.0)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices with six neighbours of their own: rest (7 count, 3), edges, and the centres. ``extent``: axis lengths."""
+    """Vertices with six neighbours of their own: rest (7 count, 3), edges, centres. ``extent``: of the axes."""
     spokes = rng.normal(size=(count, 7, 3)) * extent
     spokes[:, 0] = 0
     centres = 7 * np.arange(count)

@@ -54,9 +54,9 @@ class Objective:
         self.adj_motion = wp.zeros((steps, count), dtype=node8, device=device)
 
         self.moved_rotation, self.moved, self.adj_moved = (wp.zeros_like(p.origin) for _ in range(3))
-        self.cloud_grid = PointGrid(p.cloud, p.cloud_sizes)
-        self.moved_grid = PointGrid(self.moved, p.moved_sizes)
-        self.vertex_grid = PointGrid(self.vertices.flatten(), np.full(frames, count))
+        self.cloud_grid = PointGrid(p.cloud, p.cloud_sizes, p.box)
+        self.moved_grid = PointGrid(self.moved, p.moved_sizes, p.box)
+        self.vertex_grid = PointGrid(self.vertices.flatten(), np.full(frames, count), p.box)
         self.cloud_grid.build()
 
         flat = self.vertices.flatten()

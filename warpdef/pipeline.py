@@ -95,14 +95,15 @@ def reconstruct(
                 steps = _descend(optimiser, interruption, tell)
                 optimiser.finish()
             # Beyond the paper: every vertex of every frame on its own, and one shape for all frames.
+            troubles: list[str] = []
             with clock.phase("refine"):
                 if refinement is not None and not interruption.asked:
-                    _refine(refinement, interruption, tell)
+                    troubles = _refine(refinement, interruption, tell)
             interrupted = interruption.asked
         vertices = into.from_cube(optimiser.objective.placed_vertices()).astype(np.float32)
 
     result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=steps)
-    result.report = _report(sequence, chosen, optimiser, steps, interrupted, team.size, clock)
+    result.report = _report(sequence, chosen, optimiser, refinement, troubles, steps, interrupted, team.size, clock)
     return result
 
 
@@ -141,30 +142,38 @@ def _descend(optimiser: Optimiser, interruption: Interruption, tell: Callback) -
     return steps
 
 
-def _refine(refinement: Refinement, interruption: Interruption, tell: Callback) -> None:
-    """All rounds of the vertex stage, or those until Ctrl-C."""
+def _refine(refinement: Refinement, interruption: Interruption, tell: Callback) -> list[str]:
+    """All rounds of the vertex stage, or those until Ctrl-C; what went wrong, in which case the grids' result stays."""
+    vertices = refinement.objective.vertices
+    before = wp.clone(vertices)
     refinement.start()
     while refinement.done < refinement.config.iterations and not interruption.asked:
         refinement.step()
+        refinement.look()
         tell(Progress("refine", refinement.done, refinement.config.iterations))
+    if np.isfinite(vertices.numpy()).all():
+        return []
+    vertices.assign(before)
+    return ["the vertex stage left the finite numbers; the result is that of the grids. Raise refine.damping"]
 
 
 def _report(
     sequence: PointSequence,
     chosen: ChosenTemplate,
     optimiser: Optimiser,
+    refinement: Refinement | None,
+    troubles: list[str],
     steps: list[dict[str, float]],
     interrupted: bool,
     threads: int,
     clock: Clock,
 ) -> dict:
-    solves, device = optimiser.solves, optimiser.problem.device
-    warnings = list(chosen.warnings)
-    if solves.stalled:
-        warnings.append(
-            f"{solves.stalled} Sobolev solves looked at did not converge (worst relative residual "
-            f"{solves.residual:.1e} after {solves.iterations} iterations); raise sobolev.iterations_max"
-        )
+    device = optimiser.problem.device
+    stages = {"sobolev": optimiser.solves}
+    warnings = [*chosen.warnings, *troubles, *optimiser.solves.warning("sobolev.iterations_max")]
+    if refinement is not None:
+        stages["refine"] = refinement.solves
+        warnings += refinement.solves.warning("refine.iterations_max")
     return {
         "versions": {"warpdef": warpdef.__version__, "warp": wp.__version__, "python": platform.python_version()},
         "device": {"name": device.name, "alias": device.alias},
@@ -182,12 +191,8 @@ def _report(
         "iterations": optimiser.done,
         "interrupted": interrupted,
         "losses": {key: value for key, value in (steps[-1] if steps else {}).items() if key != "iteration"},
-        "solver": {
-            "name": solves.solver,
-            "iterations_most": solves.iterations,
-            "residual_worst": solves.residual,
-            "not_converged": solves.stalled,
-        },
+        "refine_rounds": refinement.done if refinement is not None else 0,
+        "solver": {stage: solves.as_dict() for stage, solves in stages.items()},
         "seconds": dict(clock.seconds),
         "peak_memory_mb": round(peak_memory_mb(), 1),
         "warnings": warnings,

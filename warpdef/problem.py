@@ -93,6 +93,7 @@ class Problem:
         self.cloud_sizes = np.array([len(c) for c in clouds])
         self.cloud_first = _first(self.cloud_sizes)
         flat = np.concatenate(clouds)
+        self.box = np.stack([flat.min(axis=0), flat.max(axis=0)])
         self.cloud = self.vectors(flat)
         # Without a tangential part normals are multiplied by 0; zeros are as good as any.
         self.normals = self.vectors(np.zeros_like(flat) if normals is None else np.concatenate(normals))

@@ -27,10 +27,11 @@ from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
 from warpdef.kernels.schedule import add_scaled, blend, copy_vectors
 from warpdef.objective import Objective, spans
+from warpdef.sobolev import SolveReport, note_solve
 from warpdef.workers import Iteration, Phase, Team
 
-_SHAPE_TOLERANCE = 1e-5
-_SHAPE_ITERATIONS = 100
+_SHAPE_TOLERANCE = 1e-4
+_SHAPE_ITERATIONS = 200
 
 
 class Refinement:
@@ -62,6 +63,7 @@ class Refinement:
         stiff = mesh_graph(once, count, c.shape_smoothness)
         self._shape_solver = ConjugateGradients(stiff, wp.vec3, _SHAPE_TOLERANCE, _SHAPE_ITERATIONS, device)
         self._pairing = (c.agreement, p.numbers(c.reach * p.spacing))
+        self.solves = SolveReport("block cg")
         self._round = Iteration(self._phases(), device, team, capture)
 
     def _lay_faces(self) -> None:
@@ -102,6 +104,11 @@ class Refinement:
         """One round."""
         self._round.run()
         self.done += 1
+
+    def look(self) -> None:
+        """Note what the linear solves of the last round did, in ``solves``. Waits for the device."""
+        for solver, tolerance in ((self._solver, self.config.tolerance), (self._shape_solver, _SHAPE_TOLERANCE)):
+            note_solve(self.solves, int(solver.iterations.numpy().max()), solver.residual.numpy(), tolerance)
 
     # Tasks.
 

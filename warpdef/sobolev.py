@@ -32,6 +32,24 @@ class SolveReport:
     residual: float = 0.0
     stalled: int = 0
 
+    def as_dict(self) -> dict:
+        """Plain values for ``report.json``."""
+        return {
+            "name": self.solver,
+            "iterations_most": self.iterations,
+            "residual_worst": self.residual,
+            "not_converged": self.stalled,
+        }
+
+    def warning(self, flag: str) -> list[str]:
+        """One sentence if anything stalled; ``flag`` is what to raise."""
+        if not self.stalled:
+            return []
+        return [
+            f"{self.stalled} of the {self.solver} solves looked at did not converge (worst relative residual "
+            f"{self.residual:.1e} after {self.iterations} iterations); raise {flag}"
+        ]
+
 
 class Solver(Protocol):
     """Solves for transitions ``first .. last``; ``direct`` solvers run on the host and cannot be recorded."""
@@ -68,7 +86,7 @@ class _Conjugate:
         self._solver.solve(rhs.flatten(), solution_out.flatten(), first * each, last * each)
 
     def look(self, report: SolveReport) -> None:
-        _note(report, int(self._solver.iterations.numpy().max()), self._solver.residual.numpy(), self._tolerance)
+        note_solve(report, int(self._solver.iterations.numpy().max()), self._solver.residual.numpy(), self._tolerance)
 
 
 class _Reference:
@@ -109,7 +127,7 @@ class _Reference:
         r, b = (self._norms(a) for a in (self._r, self._b))
         # A zero right-hand side asks for a zero residual.
         relative = np.divide(r, b, out=(r > 0).astype(float), where=b > 0)
-        _note(report, self._iterations, relative, self._limits.tolerance)
+        note_solve(report, self._iterations, relative, self._limits.tolerance)
 
     def _norms(self, a: wp.array) -> np.ndarray:
         """Length of each system's vector, over all nodes and components, shape (systems,)."""
@@ -117,11 +135,12 @@ class _Reference:
         return np.sqrt(np.bincount(self._system, sq, minlength=self._systems))
 
 
-def _note(report: SolveReport, iterations: int, residuals: np.ndarray, tolerance: float) -> None:
+def note_solve(report: SolveReport, iterations: int, residuals: np.ndarray, tolerance: float) -> None:
+    """Add solves to a report: the iterations of the longest, the relative residual of each, what was asked for."""
     report.iterations = max(report.iterations, iterations)
     report.residual = max(report.residual, float(residuals.max()))
-    # float32 rounding of the recursion: a hair above the tolerance is not a stall.
-    report.stalled += int((residuals > 1.01 * tolerance).sum())
+    # float32 rounding of the recursion: a hair above the tolerance is not a stall. NaN is one.
+    report.stalled += int((~(residuals <= 1.01 * tolerance)).sum())
 
 
 def solver_name(config: Config) -> str:

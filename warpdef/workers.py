@@ -8,6 +8,8 @@ On CUDA each phase is launched whole, and one iteration is captured as one graph
 
 from __future__ import annotations
 
+import ctypes.util
+import logging
 import os
 import threading
 from collections.abc import Callable, Sequence
@@ -30,14 +32,30 @@ class Phase:
     direct: bool = False
 
 
+def start_warp() -> None:
+    """Initialise Warp without its greeting, and without its native warning where no CUDA driver is installed."""
+    wp.config.log_level = logging.WARNING
+    if ctypes.util.find_library("cuda") is not None:
+        wp.init()
+        return
+    # The warning is written by native code, past Python's own streams.
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+            wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
 def find_device(name: str) -> wp.Device:
     """``auto`` (the first CUDA device, else the CPU), ``cpu``, ``cuda`` or ``cuda:N``.
 
     Raises:
         DeviceError: no such device here.
     """
-    wp.config.log_level = wp.LOG_WARNING if hasattr(wp, "LOG_WARNING") else wp.config.log_level
-    wp.init()
+    start_warp()
     if name == "auto":
         return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
     there = [d.alias for d in wp.get_devices()]
