@@ -16,24 +16,24 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from warpdef.apps.bench_sizes import Size
+from warpdef.apps.bench_sizes import WORK, Size
 from warpdef.errors import WarpdefError
 
-_DISCARDED = 0.3  # share of the iterations that warm up caches and are not counted
+_DISCARDED = 0.5  # share of the full iterations that are not counted: after the warm-up far vertices still catch up
 
 
 def run_point(
-    work: Path, size: Size, device: str, threads: int, iterations: int, cache: Path | None = None
+    work: Path, size: Size, device: str, threads: int, iterations: int, warmup: int = 0, cache: Path | None = None
 ) -> dict[str, Any]:
     """Measure a saved problem in a fresh process.
 
     Args:
-        work: file of ``Work.save``. iterations: iterations to run; at least 1. cache: folder of compiled kernels
-            instead of the user's own.
+        work: file of ``Work.save``. iterations: full iterations to run; at least 1. warmup: iterations of the input
+            term alone before them. cache: folder of compiled kernels instead of the user's own.
 
     Returns:
         ``first_s``: process start to the end of the first iteration, in ``import_s``, ``build_s``, ``compile_s`` and
-        ``step_s``; ``ms`` of the later ones (null if there are none); ``arrays_mb``: capacity of all arrays of the
+        ``step_s``; ``ms`` of the later full ones (null if there are none); ``arrays_mb``: capacity of all arrays of the
         run; ``peak_mb``: most resident memory of the process; ``device_mb``: the same on a CUDA device, else null;
         ``modules``: seconds to load a kernel module, by name, where they could be read.
 
@@ -47,6 +47,7 @@ def run_point(
         "device": device,
         "threads": threads,
         "iterations": iterations,
+        "warmup": warmup,
         "cache": str(cache) if cache else None,
     }
     command = [sys.executable, "-m", "warpdef.apps.bench_point", json.dumps(request)]
@@ -143,11 +144,10 @@ def _measure(request: dict[str, Any]) -> dict[str, Any]:
 
     size = Size(**request["size"])
     work = Work.load(Path(request["work"]))
-    # No warm-up: every iteration is a full one.
-    config = bench_config(replace(size, iterations=400))
-    config = replace(config, optimiser=replace(config.optimiser, warmup=0))
+    config = bench_config(replace(size, iterations=WORK.iterations))
+    config = replace(config, optimiser=replace(config.optimiser, warmup=request["warmup"]))
     with closing(Team(request["threads"])) as team:
-        optimiser = Optimiser(bench_problem(work, config, device), 400, team)
+        optimiser = Optimiser(bench_problem(work, config, device), WORK.iterations, team)
         build = mark()
         optimiser.prepare()
         compiled = mark()
@@ -155,7 +155,9 @@ def _measure(request: dict[str, Any]) -> dict[str, Any]:
         wp.synchronize_device(device)
         step = mark()
         clock = Clock(device)
-        times = [clock.seconds(optimiser.step) for _ in range(request["iterations"] - 1)]
+        while optimiser.done < request["warmup"]:
+            optimiser.step()
+        times = [clock.seconds(optimiser.step) for _ in range(request["iterations"] - (request["warmup"] == 0))]
         losses = optimiser.look()
         counted = times[int(_DISCARDED * len(times)) :]
         return {

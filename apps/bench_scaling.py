@@ -10,7 +10,9 @@ from warpdef.apps.bench_data import Source, make_work
 from warpdef.apps.bench_point import run_point
 from warpdef.apps.bench_sizes import EXPONENT_MAX, LINEAR_SWEEPS, Size
 from warpdef.apps.bench_timing import fit_exponent
+from warpdef.errors import WarpdefError
 
+_LARGEST_ITERATIONS = 5
 GROWING = ("ms", "arrays_mb", "peak_mb")
 
 
@@ -35,20 +37,21 @@ def run_sweeps(
     device: str,
     threads: int,
     iterations: int,
+    warmup: int,
     folder: Path,
     tell: Callable[[str], None],
 ) -> list[dict]:
     """All sweeps, the one over threads (CPU only), and the largest problem.
 
-    Times are medians over early iterations of a descent, where neighbours move most: later ones are cheaper.
+    Times are medians over early full iterations of a descent, where neighbours move most: later ones are cheaper.
     """
     done = []
     file = folder / "work.npz"
 
-    def point(size: Size, count: int) -> dict:
+    def point(size: Size, count: int, iterations: int = iterations) -> dict:
         tell(f"scaling: {size.name}, {count} threads")
         make_work(source, size).save(file)
-        return run_point(file, size, device, count, iterations)
+        return run_point(file, size, device, count, iterations, warmup)
 
     if device == "cpu":
         points = [{"value": count, **point(replace(base, name="threads"), count)} for count in thread_counts(threads)]
@@ -61,8 +64,12 @@ def run_sweeps(
         ]
         done.append({"field": field, "threads": threads, "points": points, "exponents": exponents(points)})
     if largest is not None:
-        points = [{"value": largest.points, **point(largest, threads)}]
-        done.append({"field": "largest", "threads": threads, "points": points, "exponents": {}})
+        points, error = [], None
+        try:
+            points.append({"value": largest.points, **point(largest, threads, min(iterations, _LARGEST_ITERATIONS))})
+        except WarpdefError as failure:  # a machine too small for it must not lose all that came before
+            error = str(failure)
+        done.append({"field": "largest", "threads": threads, "points": points, "exponents": {}, "error": error})
     for sweep in done:
         sweep["within"] = within_bound(sweep)
     return done

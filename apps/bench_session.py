@@ -35,6 +35,7 @@ from warpdef.apps.bench_sizes import (
     PARTS,
     SIZES,
     SIZES_QUICK,
+    SWEEP_WARMUP,
     SWEEPS,
     SWEEPS_QUICK,
     TARGETS,
@@ -127,9 +128,12 @@ def run_bench(options: Options, tell: Callable[[str], None] = lambda text: None)
             report["start"] = starts(source, main_size(sizes), device.alias, most, Path(folder))
         if scaling:
             base = SIZES_QUICK[0] if options.quick else WORK
-            count = 6 if options.quick else 16
-            report["scaling"] = run_sweeps(source, base, sweeps, largest, device.alias, most, count, Path(folder), tell)
-    report["errors"] += [row["error"] for row in (*report["rows"], *report["ratios"]) if row["error"]]
+            count, warmup = (6, 3) if options.quick else (32, SWEEP_WARMUP)
+            report["scaling"] = run_sweeps(
+                source, base, sweeps, largest, device.alias, most, count, warmup, Path(folder), tell
+            )
+    measured = (*report["rows"], *report["ratios"], *report["scaling"])
+    report["errors"] += [entry["error"] for entry in measured if entry.get("error")]
     report["targets"] = targets(report, main_size(sizes).name, "cpu" if device.is_cpu else "cuda")
     return report
 
@@ -177,7 +181,7 @@ def targets(report: dict, size: str, kind: str) -> list[dict]:
         values["peak_memory_mb"] = report["start"]["warm"]["peak_mb"]
         values["device_memory_mb"] = report["start"]["warm"]["device_mb"]
     for sweep in report["scaling"]:
-        if sweep["field"] == "largest":
+        if sweep["field"] == "largest" and sweep["points"]:
             values["largest_peak_mb"] = sweep["points"][0]["peak_mb"]
     judged = size == WORK.name
     return [

@@ -2,9 +2,10 @@
 
 A vertex x with normal m and a cloud point q with normal n, paired by nearest neighbour, ask for
 
-    r = a . (x - q) = 0,   a = (n + m) / |n + m|,   weight w = exp(-(|x - q| / reach)^2)
+    r = a . (x - q) = 0,   a = (s n + m) / |s n + m|,   weight w = exp(-(|x - q| / reach)^2)
 
-which vanishes to second order on a curved surface, where the plain n does so to first order only. Pairs whose normals
+which for s = 1 vanishes to second order on a curved surface, where the plain n does so to first order only; s falls to
+0 for noisy clouds, whose normals say less than the mesh's. Pairs whose normals
 differ by more than ``agreement`` (a cosine) are left out: the other side of a thin limb is no partner. A vertex x + d
 that minimises the sum of w r^2 solves A d = b with A = sum w a a^T and b = -sum w r a; A and b are what the kernels add
 up, so b is minus half the gradient at d = 0, with a, w and the pairs held.
@@ -20,11 +21,11 @@ wp.set_module_options(MODULE_OPTIONS)
 
 
 @wp.func
-def pair_plane(n: wp.vec3, m: wp.vec3, agreement: float) -> wp.vec3:
+def pair_plane(n: wp.vec3, m: wp.vec3, agreement: float, share: float) -> wp.vec3:
     """Common unit normal of a pair; zero where the two disagree."""
     a = wp.vec3(0.0, 0.0, 0.0)
     if wp.dot(n, m) > agreement:
-        a = wp.normalize(n + m)
+        a = wp.normalize(share * n + m)
     return a
 
 
@@ -61,6 +62,7 @@ def _vertex_planes(
     # In:
     begin: int,
     agreement: float,
+    share: float,
     reach: wp.array(dtype=wp.float32),
     vertices: wp.array(dtype=wp.vec3),
     vertex_normals: wp.array(dtype=wp.vec3),
@@ -79,7 +81,7 @@ def _vertex_planes(
     pull = wp.vec3(0.0, 0.0, 0.0)
     if j >= 0:
         d = vertices[i] - cloud[j]
-        a = pair_plane(cloud_normals[j], vertex_normals[i], agreement)
+        a = pair_plane(cloud_normals[j], vertex_normals[i], agreement, share)
         w = pair_weight(d, reach[vertex_frame[i]])
         matrix = w * wp.outer(a, a)
         pull = (-w * wp.dot(a, d)) * a
@@ -92,6 +94,7 @@ def _cloud_planes(
     # In:
     begin: int,
     agreement: float,
+    share: float,
     reach: wp.array(dtype=wp.float32),
     vertices: wp.array(dtype=wp.vec3),
     vertex_normals: wp.array(dtype=wp.vec3),
@@ -108,7 +111,7 @@ def _cloud_planes(
     j = nearest[i]
     if j >= 0:
         d = vertices[j] - cloud[i]
-        a = pair_plane(cloud_normals[i], vertex_normals[j], agreement)
+        a = pair_plane(cloud_normals[i], vertex_normals[j], agreement, share)
         w = pair_weight(d, reach[cloud_frame[i]])
         wp.atomic_add(matrix_out, j, w * wp.outer(a, a))
         wp.atomic_add(pull_out, j, (-w * wp.dot(a, d)) * a)
@@ -128,7 +131,7 @@ def vertex_planes(begin, count, pairing, vertices, normals, frame, nearest, clou
     """Normal equations of vertex-to-cloud pairs, vertices ``begin .. begin + count`` of all frames.
 
     Args:
-        pairing: (agreement, reach) with reach of shape (T,) float32, cube units.
+        pairing: (agreement, share of the cloud's normal, reach), reach of shape (T,) float32, cube units.
         vertices, normals: shape (T V,) vec3. frame, nearest: shape (T V,) int32, -1 for none.
         cloud, cloud_normals: shape (N,) vec3, oriented. matrix_out: shape (T V,) mat33. pull_out: shape (T V,) vec3.
     """

@@ -94,10 +94,13 @@ class Planes:
         return matrix, pull
 
 
-def planes(x, m, q, n, owner, reach, agreement: float) -> Planes:
-    """Pairs of vertices x with normals m and cloud points q with normals n, all (P, 3). reach: a number or (P,)."""
+def planes(x, m, q, n, owner, reach, agreement: float, share: float = 1.0) -> Planes:
+    """Pairs of vertices x with normals m and cloud points q with normals n, all (P, 3). reach: a number or (P,).
+
+    share: how much n counts in the common normal.
+    """
     kept = (n * m).sum(axis=1) > agreement
-    a = np.where(kept[:, None], n + m, 0.0)
+    a = np.where(kept[:, None], share * n + m, 0.0)
     length = np.linalg.norm(a, axis=1, keepdims=True)
     a = np.divide(a, length, out=np.zeros_like(a), where=length > 0)
     w = np.exp(-((np.linalg.norm(x - q, axis=1) / reach) ** 2))

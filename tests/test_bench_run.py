@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from test_bench_bookkeeping import sphere
 
+from warpdef.apps import bench_scaling
 from warpdef.apps.bench_bed import Bed, Peer, teams
 from warpdef.apps.bench_compare import SCHEMA
 from warpdef.apps.bench_data import Source, Work, make_work
@@ -108,15 +109,21 @@ def test_neighbours_that_differ_are_an_error(work: Work) -> None:
     assert "differs from cKDTree's by 5.0e-01" in ratio_entry(results, TINY, 1, 1)["error"]
 
 
-def test_sweeps_and_processes_of_their_own(tmp_path: Path) -> None:
+def test_sweeps_and_processes_of_their_own(tmp_path: Path, monkeypatch) -> None:
     heard: list[str] = []
-    sweeps = run_sweeps(Source("sphere", sphere()), TINY, {"frames": (2, 4)}, None, "cpu", 1, 3, tmp_path, heard.append)
+    sweeps = run_sweeps(
+        Source("sphere", sphere()), TINY, {"frames": (2, 4)}, None, "cpu", 1, 3, 2, tmp_path, heard.append
+    )
     assert [sweep["field"] for sweep in sweeps] == ["threads", "frames"]
     points = sweeps[1]["points"]
     assert [p["value"] for p in points] == [2, 4]
     assert points[1]["arrays_mb"] > points[0]["arrays_mb"] > 0
     assert all(p["first_s"] >= p["step_s"] > 0 and p["ms"] > 0 and p["peak_mb"] > p["arrays_mb"] for p in points)
     assert set(sweeps[1]["exponents"]) >= {"ms", "arrays_mb", "peak_mb"}
+    monkeypatch.setattr(bench_scaling, "thread_counts", lambda most: [])
+    largest = replace(TINY, levels=99)  # more than the configuration allows: its process fails
+    (sweep,) = run_sweeps(Source("sphere", sphere()), TINY, {}, largest, "cpu", 1, 3, 2, tmp_path, heard.append)[1:]
+    assert sweep["points"] == [] and "ended with code" in sweep["error"]
     with pytest.raises(WarpdefError, match="ended with code"):
         run_point(tmp_path / "absent.npz", TINY, "cpu", 1, 2)
 

@@ -13,6 +13,7 @@ from gradients import assert_gradients_close, finite_differences
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 
 AGREEMENT = 0.3
+SHARE = 0.7
 
 
 def put(a: np.ndarray, dtype, device: str) -> wp.array:
@@ -88,7 +89,7 @@ class Scene:
             index[::7] = -1
         self.reach = np.array([1.5, 4.0], np.float32)
 
-    def run(self, way: str, start: float = 0.0, cuts=(0,), agreement: float = AGREEMENT):
+    def run(self, way: str, start: float = 0.0, cuts=(0,), agreement: float = AGREEMENT, share: float = SHARE):
         """A (V, 3, 3) and b (V, 3) of all frames by the kernel, into arrays that hold ``start``."""
         kernel = {"met": vertex_planes, "asked": cloud_planes}[way]
         on, frame, index = self.device, self.frame[way], self.index[way]
@@ -97,7 +98,7 @@ class Scene:
             put(np.full((self.count, 3), start), wp.vec3, on),
         )
         mesh, cloud = ([put(a, wp.vec3, on) for a in pair] for pair in ((self.x, self.m), (self.q, self.n)))
-        pairing = (agreement, put(self.reach, wp.float32, on))
+        pairing = (agreement, share, put(self.reach, wp.float32, on))
         places = [put(a, wp.int32, on) for a in (frame, index)]
         for begin, count in spans(cuts, len(frame)):
             kernel(begin, count, pairing, *mesh, *places, *cloud, matrix, pull)
@@ -109,7 +110,7 @@ class Scene:
         other = self.index[way][paired]
         vertex, point = (paired, other) if way == "met" else (other, paired)
         x, m, q, n = (a.astype(np.float64) for a in (self.x[vertex], self.m[vertex], self.q[point], self.n[point]))
-        return twin.planes(x, m, q, n, vertex, self.reach[self.frame[way][paired]].astype(np.float64), agreement)
+        return twin.planes(x, m, q, n, vertex, self.reach[self.frame[way][paired]].astype(np.float64), agreement, SHARE)
 
 
 def _units(a: np.ndarray) -> np.ndarray:
@@ -198,8 +199,9 @@ class Pair:
         scene.frame = scene.index = {"met": np.array([0]), "asked": np.array([0])}
         scene.reach = np.array([reach], np.float32)
 
-    def run(self, agreement: float = AGREEMENT) -> tuple[np.ndarray, np.ndarray]:
-        (matrix, pull), asked = (self.scene.run(way, agreement=agreement) for way in ("met", "asked"))
+    def run(self, agreement: float = AGREEMENT, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        ways = ("met", "asked")
+        (matrix, pull), asked = (self.scene.run(way, agreement=agreement, share=share) for way in ways)
         np.testing.assert_array_equal(matrix, asked[0])
         np.testing.assert_array_equal(pull, asked[1])
         return matrix[0], pull[0]
@@ -255,3 +257,5 @@ def test_a_vertex_that_slides_on_a_sphere_is_not_pulled(device: str, rng: np.ran
         x = _units((q + 0.3 * n)[None])[0]
         pair = Pair(device, x, x, q, q, reach=10.0)
         assert np.abs(pair.run()[1]).max() < 1e-6
+        # The mesh's normal alone, as for noisy clouds, sees the sphere's curvature.
+        assert np.abs(pair.run(share=0.0)[1]).max() > 1e-4

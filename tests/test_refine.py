@@ -140,6 +140,7 @@ def shaken(scene: Scene, rng: np.random.Generator) -> np.ndarray:
 def test_rounds_match_the_twin(scene: Scene, shaken: np.ndarray, device: str) -> None:
     """Two, so that the second sees the shape and the rotations of the first; every constant off its default."""
     values = {"rigidity": 0.2, "damping": 0.03, "reach": 2.5, "agreement": 0.4, "shape_smoothness": 20.0}
+    values |= {"clean_thickness": 8.0, "noisy_thickness": 9.0}  # clean, whatever the clouds
     run = Run(scene, shaken, device, 2, keyframe=2, shape_step=1.3, tolerance=1e-6, iterations_max=300, **values)
     c, edges = run.stage.config, unique_edges(scene.faces)
     x = shaken.astype(np.float32).astype(np.float64)
@@ -329,3 +330,20 @@ def test_the_spacing_is_each_frames_own(rng: np.random.Generator) -> None:
     found = Run(mixed, mixed.vertices, "cpu", 0).problem.spacing
     np.testing.assert_allclose(found, [twin.spacing(c) for c in mixed.clouds], rtol=1e-5)
     assert found[0] > 2 * found[1]
+
+
+def test_noisy_clouds_make_the_stage_stiffer(device: str, rng: np.random.Generator) -> None:
+    """Thickness grows with noise; rigidity goes from the clean to the noisy value by the logarithm, and is capped."""
+    scene = Scene.make(3, 1500, rng, subdivisions=1)
+    found = []
+    for noise in (0.0, 0.006, 0.012, 0.4):
+        clouds = [c + rng.normal(size=c.shape) * noise for c in scene.clouds]
+        found.append(Run(replace(scene, clouds=clouds), scene.vertices, device, 0).stage)
+    thickness = [stage.problem.thickness for stage in found]
+    assert thickness == sorted(thickness) and thickness[0] < 0.3 < thickness[2]
+    assert found[0].noise == 0.0 and found[0].rigidity == found[0].config.rigidity
+    assert 0.0 < found[2].noise < found[3].noise == 1.25
+    c = found[2].config
+    middle = (thickness[2] - c.clean_thickness) / (c.noisy_thickness - c.clean_thickness)
+    assert np.log(found[2].rigidity / c.rigidity) == pytest.approx(middle * np.log(c.rigidity_noisy / c.rigidity))
+    assert found[3].rigidity == pytest.approx(c.rigidity * (c.rigidity_noisy / c.rigidity) ** 1.25)

@@ -225,7 +225,13 @@ class RefineConfig:
     iterations: int = 20
     """Rounds over all frames and the shape; 0 leaves the stage out, as the paper does."""
     rigidity: float = 0.1
-    """Weight of local rigidity against one point-to-plane residual a vertex."""
+    """Weight of local rigidity against one point-to-plane residual a vertex, for clean clouds."""
+    rigidity_noisy: float = 10.0
+    """The same for clouds whose local thickness is ``noisy_thickness``; between and beyond, by the logarithm."""
+    clean_thickness: float = 0.3
+    """Local thickness over width of a cloud (16 neighbours) up to which it counts as clean."""
+    noisy_thickness: float = 0.55
+    """Local thickness over width at which a cloud's own normals are no longer used."""
     damping: float = 0.01
     """Weight that holds a vertex where it was at the start of a round."""
     reach: float = 3.0
@@ -243,8 +249,10 @@ class RefineConfig:
 
     def __post_init__(self) -> None:
         _require(self.iterations >= 0, "refine.iterations", "0 or more", self.iterations)
-        for key in ("rigidity", "damping", "reach", "shape_smoothness"):
+        for key in ("rigidity", "rigidity_noisy", "damping", "reach", "shape_smoothness", "clean_thickness"):
             _require(getattr(self, key) > 0, f"refine.{key}", "a number above 0", getattr(self, key))
+        above = f"a number above refine.clean_thickness ({self.clean_thickness})"
+        _require(self.noisy_thickness > self.clean_thickness, "refine.noisy_thickness", above, self.noisy_thickness)
         _require(-1 <= self.agreement < 1, "refine.agreement", "from -1 to below 1", self.agreement)
         _require(0 <= self.shape_step < 2, "refine.shape_step", "from 0 to below 2", self.shape_step)
         _require(0 < self.tolerance < 1, "refine.tolerance", "between 0 and 1", self.tolerance)

@@ -191,7 +191,7 @@ def _report(
         "iterations": optimiser.done,
         "interrupted": interrupted,
         "losses": {key: value for key, value in (steps[-1] if steps else {}).items() if key != "iteration"},
-        "refine_rounds": refinement.done if refinement is not None else 0,
+        "refine": None if refinement is None else refinement.as_dict(),
         "solver": {stage: solves.as_dict() for stage, solves in stages.items()},
         "seconds": dict(clock.seconds),
         "peak_memory_mb": round(peak_memory_mb(), 1),

@@ -20,6 +20,8 @@ from warpdef.kernels.levels import LevelTable
 from warpdef.mesh import unique_edges
 from warpdef.morton import morton_order
 
+_NEIGHBOURS = 16  # of a point, for the local shape of its cloud
+
 
 @dataclass(frozen=True)
 class Transitions:
@@ -134,11 +136,28 @@ class Problem:
     @cached_property
     def spacing(self) -> np.ndarray:
         """Mean distance of a cloud's points to their nearest fellow, cube units, shape (T,)."""
+        return self._local_shape[0]
+
+    @cached_property
+    def thickness(self) -> float:
+        """Thickness over width of the clouds' neighbourhoods, median over points, then frames: what noise adds to."""
+        return float(np.median(self._local_shape[1]))
+
+    @cached_property
+    def _local_shape(self) -> np.ndarray:
+        """Spacing and thickness of every frame, shape (2, T)."""
         from scipy.spatial import cKDTree
 
-        cloud, first = self.cloud.numpy(), self.cloud_first
-        clouds = [cloud[a:b] for a, b in zip(first[:-1], first[1:], strict=True)]
-        return np.array([cKDTree(c).query(c, k=2)[0][:, 1].mean() for c in clouds])
+        cloud, first = self.cloud.numpy().astype(np.float64), self.cloud_first
+        found = []
+        for a, b in zip(first[:-1], first[1:], strict=True):
+            distance, index = cKDTree(cloud[a:b]).query(cloud[a:b], k=min(_NEIGHBOURS, b - a))
+            near = cloud[a:b][index]
+            near -= near.mean(axis=1, keepdims=True)
+            spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near))
+            thin, wide = np.sqrt(np.maximum(np.median(spread[:, :2], axis=0), 0.0))
+            found.append((distance[:, 1].mean(), thin / max(wide, 1e-12)))
+        return np.array(found).T
 
     @property
     def vertex_count(self) -> int:

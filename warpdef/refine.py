@@ -6,7 +6,8 @@ moves on its own, by Gauss-Newton on
     E = sum_t sum_pairs w r^2 + rigidity sum_t sum_(i,j) | (x_i - x_j) - (R_i + R_j)/2 (y_i - y_j) |^2
 
 with symmetric point-to-plane residuals r both ways, a rotation R a vertex and frame, and one rest shape y for all
-frames. y is an unknown like the others: what one frame's points leave open, the points of all others fill in.
+frames. y is an unknown like the others: what one frame's points leave open, the points of all others fill in. The
+noisier the clouds (measured by how thick they are locally), the stiffer, and the less their own normals count.
 
 A round is three phases: every frame pairs, solves for its moves and fits its rotations; every vertex asks all frames
 for its edges; the shape is solved for.
@@ -20,6 +21,7 @@ from functools import partial
 import numpy as np
 import warp as wp
 
+from warpdef.config import RefineConfig
 from warpdef.kernels.block_cg import BlockSolver
 from warpdef.kernels.cg import ConjugateGradients
 from warpdef.kernels.graphs import mesh_graph
@@ -32,6 +34,13 @@ from warpdef.workers import Iteration, Phase, Team
 
 _SHAPE_TOLERANCE = 1e-4
 _SHAPE_ITERATIONS = 200
+_NOISE_MAX = 1.25  # rigidity grows no further
+
+
+def _noise(thickness: float, config: RefineConfig) -> float:
+    """0 for clean clouds, 1 at ``noisy_thickness``, at most 1.25."""
+    above = (thickness - config.clean_thickness) / (config.noisy_thickness - config.clean_thickness)
+    return float(np.clip(above, 0.0, _NOISE_MAX))
 
 
 class Refinement:
@@ -62,7 +71,10 @@ class Refinement:
         once = edges[edges[:, 0] < edges[:, 1]]
         stiff = mesh_graph(once, count, c.shape_smoothness)
         self._shape_solver = ConjugateGradients(stiff, wp.vec3, _SHAPE_TOLERANCE, _SHAPE_ITERATIONS, device)
-        self._pairing = (c.agreement, p.numbers(c.reach * p.spacing))
+        self.noise = _noise(p.thickness, c)
+        self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
+        share = max(1.0 - self.noise, 0.0)
+        self._pairing = (c.agreement * share, share, p.numbers(c.reach * p.spacing))
         self.solves = SolveReport("block cg")
         self._round = Iteration(self._phases(), device, team, capture)
 
@@ -110,6 +122,11 @@ class Refinement:
         for solver, tolerance in ((self._solver, self.config.tolerance), (self._shape_solver, _SHAPE_TOLERANCE)):
             note_solve(self.solves, int(solver.iterations.numpy().max()), solver.residual.numpy(), tolerance)
 
+    def as_dict(self) -> dict:
+        """Plain values for ``report.json``."""
+        thickness = self.problem.thickness
+        return {"rounds": self.done, "thickness": thickness, "noise": self.noise, "rigidity": self.rigidity}
+
     # Tasks.
 
     def _fit_frames(self, first: int, last: int) -> None:
@@ -127,8 +144,8 @@ class Refinement:
         sums = (p.cloud, p.normals, self._matrix.flatten(), self._pull.flatten())
         vertex_planes(begin, count, self._pairing, flat, normals, p.vertex_frame, o.vertex_to_cloud.index, *sums)
         cloud_planes(met_begin, met_count, self._pairing, flat, normals, p.cloud_frame, o.cloud_to_vertex.index, *sums)
-        rigid_pull(begin, count, c.rigidity, *mesh, self._rest, self._rotation, o.vertices, self._pull)
-        self._solver.solve(first, last, c.rigidity, c.damping, self._matrix, self._pull, self._move)
+        rigid_pull(begin, count, self.rigidity, *mesh, self._rest, self._rotation, o.vertices, self._pull)
+        self._solver.solve(first, last, self.rigidity, c.damping, self._matrix, self._pull, self._move)
         add_scaled(begin, count, 1.0, self._move.flatten(), flat)
         fit_rotations(begin, count, *mesh, self._rest, o.vertices, self._rotation)
 
