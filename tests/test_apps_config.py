@@ -38,6 +38,8 @@ def other_value(key: str, default: object) -> object:
         "loss.robust_power": 4,
         "loss.confidence_bound": "mean",
         "optimiser.decay": "constant",
+        "template.depth": 9,
+        "refine.noisy_thickness": 0.7,
     }
     if key in special:
         return special[key]
