@@ -81,7 +81,7 @@ def bench(
 
 def _write_and_print(report: dict, json: Path | None, compare: Path | None) -> None:
     from warpdef.apps.bench_tables import print_comparison, print_report
-    from warpdef.json_text import json_text
+    from warpdef.files.json_text import json_text
 
     if json is not None:
         json.write_text(json_text(report) + "\n", encoding="utf-8")

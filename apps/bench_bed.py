@@ -12,11 +12,11 @@ import warp as wp
 from warpdef.apps.bench_data import Work
 from warpdef.apps.bench_sizes import Size
 from warpdef.config import Config
+from warpdef.fit.optimise import Optimiser
+from warpdef.fit.problem import Problem
+from warpdef.fit.workers import Iteration, Phase, Task, Team
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import adj_move_points, scatter_vertices
-from warpdef.optimise import Optimiser
-from warpdef.problem import Problem
-from warpdef.workers import Iteration, Phase, Task, Team
 
 Answer = np.ndarray | tuple[np.ndarray, ...]
 _SNAPSHOTS = 12

@@ -11,8 +11,8 @@ from warpdef.apps.bench_meshes import resize_mesh
 from warpdef.apps.bench_sizes import Size
 from warpdef.config import Config, parse_slice
 from warpdef.errors import InputError
+from warpdef.files.numpy_files import Npz
 from warpdef.mesh import MeshSequence
-from warpdef.numpy_files import Npz
 from warpdef.sequence import PointSequence, Similarity
 
 
@@ -61,6 +61,24 @@ class Source:
     def frames(self) -> int:
         return len(self.truth if self.truth is not None else self.clouds)
 
+    def retimed(self, span: int, frames: int) -> Source:
+        """The motion of the first ``span`` frames in ``frames`` of them, in between by straight lines.
+
+        A sweep over frames takes this, for the cost of a search depends on its distance: a longer walk would be a
+        harder one. Clouds cannot be retimed and stay as they are.
+
+        Raises:
+            InputError: fewer than ``span`` frames.
+        """
+        if self.truth is None or frames == span:
+            return self
+        _require_frames(self, span)
+        at = np.linspace(0.0, span - 1.0, frames)
+        low = np.minimum(at.astype(int), span - 2)
+        share = (at - low)[:, None, None]
+        x = self.truth.vertices
+        return Source(self.name, MeshSequence((1.0 - share) * x[low] + share * x[low + 1], self.truth.faces))
+
 
 def load_source(data: Path | None, frames: str, most_frames: int) -> Source:
     """The built-in figure, or a file: vertices (T, V, 3) and faces of a true sequence, or clouds.
@@ -72,7 +90,7 @@ def load_source(data: Path | None, frames: str, most_frames: int) -> Source:
         InputError: not such a file. MissingPackageError: no file, and the figure's mesh cannot be made here.
     """
     if data is None:
-        from warpdef.figure import walking_figure
+        from warpdef.truth.figure import walking_figure
 
         return Source("the built-in figure", walking_figure(most_frames))
     from warpdef.files import read_clouds, read_mesh_sequence
@@ -89,11 +107,10 @@ def make_work(source: Source, size: Size) -> Work:
     Raises:
         InputError: the source has fewer frames or points than asked for.
     """
-    if source.frames < size.frames:
-        raise InputError(f"--data: expected at least {size.frames} frames, got {source.frames}; give a longer sequence")
+    _require_frames(source, size.frames)
     if source.truth is None:
         return _from_clouds(source.clouds, size)
-    from warpdef.sample import sample_surface
+    from warpdef.truth.sample import sample_surface
 
     mesh = source.truth
     clouds, normals = [], []
@@ -109,6 +126,11 @@ def make_work(source: Source, size: Size) -> Work:
     return Work(clouds, normals, vertices.astype(np.float32), faces, keyframe)
 
 
+def _require_frames(source: Source, frames: int) -> None:
+    if source.frames < frames:
+        raise InputError(f"--data: expected at least {frames} frames, got {source.frames}; give a longer sequence")
+
+
 def _from_clouds(sequence: PointSequence, size: Size) -> Work:
     fewest = min(len(p) for p in sequence.points)
     if fewest < size.points:
@@ -116,8 +138,8 @@ def _from_clouds(sequence: PointSequence, size: Size) -> Work:
             f"--data: expected at least {size.points} points a frame for size {size.name!r}, got {fewest}; "
             "give a true sequence (vertices, faces), which can be sampled at will, or --only a smaller size"
         )
-    from warpdef.normals import pca_normals
-    from warpdef.template import choose_template
+    from warpdef.template.choose import choose_template
+    from warpdef.template.normals import pca_normals
 
     config = Config()
     sequence = sequence.select(slice(size.frames)).subsample(size.points, config.seed)

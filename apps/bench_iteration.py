@@ -21,9 +21,9 @@ from warpdef.apps.bench_bed import bench_config, bench_problem
 from warpdef.apps.bench_data import Work
 from warpdef.apps.bench_sizes import Size
 from warpdef.apps.bench_timing import Clock, Timing
-from warpdef.objective import Objective
-from warpdef.optimise import Optimiser
-from warpdef.workers import Team
+from warpdef.fit.objective import Objective
+from warpdef.fit.optimise import Optimiser
+from warpdef.fit.workers import Team
 
 CHECKPOINTS = 8
 _PROFILED = 3  # iterations after each checkpoint whose launches are timed one by one, and which are not counted

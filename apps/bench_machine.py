@@ -15,10 +15,10 @@ import warpdef
 from warpdef.apps.bench_bed import Case, runner
 from warpdef.apps.bench_kernels import FLOPS_PER_ROUND, multiply_add_rounds, sample_only
 from warpdef.apps.bench_timing import Clock, Effort, measure, null_test
+from warpdef.fit.workers import Team, usable_cores
 from warpdef.kernels.adam import adam
 from warpdef.kernels.levels import LevelTable, node8
 from warpdef.kernels.schedule import SCHEDULE_SIZE
-from warpdef.workers import Team, usable_cores
 
 _COPY_EFFORT = Effort(seconds=0.5, least=5, most=15)
 

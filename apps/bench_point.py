@@ -131,8 +131,8 @@ def _measure(request: dict[str, Any]) -> dict[str, Any]:
     from warpdef.apps.bench_bed import bench_config, bench_problem
     from warpdef.apps.bench_data import Work
     from warpdef.apps.bench_timing import Clock
-    from warpdef.optimise import Optimiser
-    from warpdef.workers import Team, find_device
+    from warpdef.fit.optimise import Optimiser
+    from warpdef.fit.workers import Team, find_device
 
     device = find_device(request["device"])
     wp.config.log_level = wp.LOG_INFO  # the loading of modules is read from what Warp says

@@ -13,7 +13,7 @@ from warpdef.apps.bench_search_cases import search_cases
 from warpdef.apps.bench_sizes import ROWS
 from warpdef.apps.bench_solve_cases import solve_cases
 from warpdef.apps.bench_timing import Clock, Effort, Timing, measure
-from warpdef.workers import Team
+from warpdef.fit.workers import Team
 
 GROUPS: Mapping[str, Callable[[Bed], list[Case]]] = {
     "motion": motion_cases,

@@ -43,14 +43,15 @@ def run_sweeps(
 ) -> list[dict]:
     """All sweeps, the one over threads (CPU only), and the largest problem.
 
-    Times are medians over early full iterations of a descent, where neighbours move most: later ones are cheaper.
+    More frames show the same motion in smaller steps. Times are medians over early full iterations of a descent, where
+    neighbours move most: later ones are cheaper.
     """
     done = []
     file = folder / "work.npz"
 
     def point(size: Size, count: int, iterations: int = iterations) -> dict:
         tell(f"scaling: {size.name}, {count} threads")
-        make_work(source, size).save(file)
+        make_work(source.retimed(base.frames, size.frames), size).save(file)
         return run_point(file, size, device, count, iterations, warmup)
 
     if device == "cpu":

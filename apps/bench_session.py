@@ -45,7 +45,7 @@ from warpdef.apps.bench_sizes import (
 )
 from warpdef.apps.bench_timing import QUICK, Effort
 from warpdef.errors import InputError
-from warpdef.workers import find_device, usable_cores
+from warpdef.fit.workers import find_device, usable_cores
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,7 @@ def run_bench(options: Options, tell: Callable[[str], None] = lambda text: None)
     most = (options.threads or usable_cores()) if device.is_cpu else 1
     counts = tuple(sorted({1, most}))
     sweeps, largest = (SWEEPS_QUICK, None) if options.quick else (SWEEPS, LARGEST)
+    base = SIZES_QUICK[0] if options.quick else WORK
     scaling = options.scaling and "scaling" in wanted
     report: dict = {
         "schema": SCHEMA,
@@ -92,7 +93,7 @@ def run_bench(options: Options, tell: Callable[[str], None] = lambda text: None)
                 f"null test ({test['name']}): four times the work cost {ratio:.2f} times; believe no figure"
             )
     tell("data")
-    frames = max([s.frames for s in sizes] + ([*sweeps["frames"], largest.frames if largest else 0] if scaling else []))
+    frames = max(s.frames for s in (*sizes, base))
     source = load_source(options.data, options.frames, frames)
     report["environment"]["data"] = source.name
     effort = QUICK if options.quick else Effort()
@@ -127,7 +128,6 @@ def run_bench(options: Options, tell: Callable[[str], None] = lambda text: None)
             tell("start and compile time, in processes of their own")
             report["start"] = starts(source, main_size(sizes), device.alias, most, Path(folder))
         if scaling:
-            base = SIZES_QUICK[0] if options.quick else WORK
             count, warmup = (6, 3) if options.quick else (32, SWEEP_WARMUP)
             report["scaling"] = run_sweeps(
                 source, base, sweeps, largest, device.alias, most, count, warmup, Path(folder), tell

@@ -12,13 +12,13 @@ import warp as wp
 from warpdef.apps.bench_bed import Bed, Case, Peer, run_tasks
 from warpdef.apps.bench_peers import Factored, cosine_numpy
 from warpdef.config import Config
+from warpdef.fit.sobolev import level_lambdas
 from warpdef.kernels.adam import adam
 from warpdef.kernels.cg import ConjugateGradients
 from warpdef.kernels.cosine import CosineSolver
 from warpdef.kernels.graphs import Graph, grid_graph, kept_nodes
 from warpdef.kernels.levels import node8
 from warpdef.kernels.schedule import SCHEDULE_SIZE
-from warpdef.sobolev import level_lambdas
 
 _NODE = 32  # bytes
 _WARM_SHARE = 0.01

@@ -110,7 +110,7 @@ def resolve_config(preset_name: str, config_file: Path | None, flags: Any | None
     """
     config = preset(preset_name)
     if config_file is not None:
-        from warpdef.config_file import load_config
+        from warpdef.files.config_file import load_config
 
         config = load_config(config_file, config)
     if flags is None:

@@ -21,7 +21,7 @@ def say(text: str) -> None:
 
 def print_json(content: Mapping[str, Any]) -> None:
     """``content`` as indented JSON on standard output."""
-    from warpdef.json_text import json_text
+    from warpdef.files.json_text import json_text
 
     print(json_text(content), flush=True)
 

@@ -49,7 +49,7 @@ def demo(
         json: Print report and measures as JSON on standard output, and nothing else there.
         overwrite: Replace an older result at OUTPUT.
     """
-    from warpdef.run_folder import RunFolder, load_run
+    from warpdef.files.run_folder import RunFolder, load_run
 
     if not overwrite:
         RunFolder.prepare(output)  # refuse at once, before the figure is made
@@ -82,8 +82,8 @@ def demo(
 
 def make_input(frames: int, points: int) -> tuple[MeshSequence, PointSequence]:
     """The figure, exact, and clouds sampled from it with seed 0."""
-    from warpdef.figure import walking_figure
-    from warpdef.sample import sample_sequence
+    from warpdef.truth.figure import walking_figure
+    from warpdef.truth.sample import sample_sequence
 
     truth = walking_figure(frames)
     return truth, sample_sequence(truth, points, seed=0)
@@ -92,7 +92,7 @@ def make_input(frames: int, points: int) -> tuple[MeshSequence, PointSequence]:
 def write_input(folder: Path, truth: MeshSequence, clouds: PointSequence) -> None:
     """Put what a demo was made from into ``folder``."""
     from warpdef.files import write_clouds_npz
-    from warpdef.numpy_files import write_npz
+    from warpdef.files.numpy_files import write_npz
 
     write_npz(folder / TRUTH, {"vertices": truth.vertices, "faces": truth.faces})
     write_clouds_npz(folder / CLOUDS, clouds)

@@ -16,8 +16,8 @@ from warpdef.config import parse_slice
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from warpdef.files.run_folder import Run
     from warpdef.mesh import MeshSequence, TriMesh
-    from warpdef.run_folder import Run
 
 SAMPLES = 100_000
 """Samples a surface in the paper's protocol."""
@@ -46,7 +46,7 @@ def evaluate(
         json: Print metrics.json on standard output, and nothing else there.
     """
     from warpdef.files import read_mesh_frames
-    from warpdef.run_folder import load_run
+    from warpdef.files.run_folder import load_run
 
     chosen = parse_slice(frames)
     run = load_run(output)
@@ -68,9 +68,9 @@ def evaluate_run(
     Raises:
         InputError: a truth that does not fit the run; then nothing is written.
     """
-    from warpdef.metrics import evaluate as evaluate_meshes
+    from warpdef.files.run_folder import write_metrics
     from warpdef.progress import Progress
-    from warpdef.run_folder import write_metrics
+    from warpdef.truth.metrics import evaluate as evaluate_meshes
 
     with clean_stdout(), ProgressDisplay() as display:
         display.start("evaluate", len(truth), "frames")

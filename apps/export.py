@@ -41,9 +41,9 @@ def export(
         metres_per_unit: Length of the result's unit in metres; .glb and .usd carry it.
         overwrite: Replace an older export.
     """
-    from warpdef.animation import load_animation
     from warpdef.export import check_place, format_of
     from warpdef.export import export as write
+    from warpdef.export.animation import load_animation
 
     started = time.perf_counter()
     check_place(file, format_of(file, format), overwrite)

@@ -85,7 +85,7 @@ def run_to_folder(
         WarpdefError: input, configuration, device or output place is not usable; then nothing is written.
     """
     from warpdef.files import read_clouds, read_mesh
-    from warpdef.run_folder import RunFolder
+    from warpdef.files.run_folder import RunFolder
 
     total, watch = Stopwatch(), Stopwatch()
     folder = RunFolder.prepare(output, overwrite)

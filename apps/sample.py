@@ -39,7 +39,7 @@ def sample(
         overwrite: Replace OUTPUT if it exists.
     """
     from warpdef.files import read_mesh_frames, write_clouds_npz
-    from warpdef.sample import sample_sequence
+    from warpdef.truth.sample import sample_sequence
 
     if output.exists() and not overwrite:
         raise InputError(f"{output}: already exists; choose another place, or replace it with --overwrite")

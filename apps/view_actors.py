@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from warpdef.apps.view_content import Pane
-    from warpdef.colouring import Colouring
+    from warpdef.truth.colouring import Colouring
 
 PLAIN, MATERIAL = "plain", "template"
 TEXT_COLOR = "#20242c"
@@ -67,7 +67,7 @@ class SurfaceActor:
 
     def show(self, frame: int, look: Look) -> None:
         """The mesh of a frame in the look's colours."""
-        from warpdef.vertex_normals import vertex_normals
+        from warpdef.export.vertex_normals import vertex_normals
 
         vertices, faces = self._pane.surface(frame)
         self._fill(vertices, faces)
@@ -99,7 +99,7 @@ class SurfaceActor:
         self._show_bar(color if measured else "")
 
     def _material(self, frame: int) -> np.ndarray:
-        from warpdef.colouring import material_colors
+        from warpdef.truth.colouring import material_colors
 
         if self._pane.colors is not None:
             return self._pane.colors
@@ -107,7 +107,7 @@ class SurfaceActor:
         return material_colors(self._pane.surface(frame)[0] if moving is None else moving.vertices[self._pane.keyframe])
 
     def _show_bar(self, color: str) -> None:
-        from warpdef.colouring import MEASURES
+        from warpdef.truth.colouring import MEASURES
 
         if color == self._shown:
             return
@@ -191,7 +191,7 @@ class CloudActor:
 def _lookup_table(color: str, colouring: Colouring) -> Any:
     import pyvista
 
-    from warpdef.colouring import MEASURES
+    from warpdef.truth.colouring import MEASURES
 
     table = pyvista.LookupTable("coolwarm" if MEASURES[color].diverging else "viridis", n_values=256)
     table.scalar_range = colouring.limits(color)

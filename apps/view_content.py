@@ -12,8 +12,8 @@ from warpdef.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from warpdef.colouring import Colouring
     from warpdef.mesh import MeshSequence, TriMesh
+    from warpdef.truth.colouring import Colouring
 
 INPUT_FILES, TRUTH_FILES = ("clouds.npz",), ("truth.npz",)
 """What a demo leaves beside its result, taken where nothing else is named."""
@@ -122,8 +122,8 @@ def load_content(
     """
     from warpdef.config import parse_slice
     from warpdef.files import read_clouds, read_mesh_frames, same_triangles
-    from warpdef.frame_files import select_frames
-    from warpdef.run_folder import load_run
+    from warpdef.files.frame_files import select_frames
+    from warpdef.files.run_folder import load_run
 
     run = load_run(output)
     clouds, truth = clouds or _beside(output, INPUT_FILES), truth or _beside(output, TRUTH_FILES)
@@ -168,10 +168,10 @@ def _same_count(count: int, run, path: Path, advice: str) -> None:
 def _run_pane(path: Path, run, chosen: list[int], title: str, points, truth) -> Pane:
     import numpy as np
 
-    from warpdef.animation import Animation
-    from warpdef.colouring import Colouring
+    from warpdef.export.animation import Animation
+    from warpdef.files.numpy_files import Npz
     from warpdef.mesh import MeshSequence
-    from warpdef.numpy_files import Npz
+    from warpdef.truth.colouring import Colouring
 
     npz = Npz(path / "sequence.npz")
     colors = Animation(run.meshes, colors=npz.array("vertex_colors")).colors if "vertex_colors" in npz else None

@@ -31,7 +31,7 @@ def write_html(content: Content, look: Look, path: Path, fps: float, frame: int 
     from warpdef.apps.view_camera import AZIMUTH, ELEVATION, MARGIN, VIEW_ANGLE, box_extent
     from warpdef.apps.view_page import PAGE
     from warpdef.apps.view_script import SCRIPT
-    from warpdef.disk import replacing
+    from warpdef.files.disk import replacing
 
     low, high = content.bounds
     for pane in content.panes:
@@ -91,7 +91,7 @@ def _colors(pane: Pane, content: Content, look: Look) -> dict[str, Any]:
     import numpy as np
 
     from warpdef.apps.view_actors import MATERIAL
-    from warpdef.colouring import MEASURES, material_colors
+    from warpdef.truth.colouring import MEASURES, material_colors
 
     packed: dict[str, Any] = {}
     colors = material_colors(pane.moving.vertices[pane.keyframe]) if pane.colors is None else pane.colors

@@ -44,7 +44,7 @@ def save_picture(picture: np.ndarray, path: Path) -> None:
     """Write (height, width, 3) uint8; the file appears at once or not at all."""
     from PIL import Image
 
-    from warpdef.disk import replacing
+    from warpdef.files.disk import replacing
 
     with replacing(path) as stream:
         Image.fromarray(picture).save(stream, format="PNG" if path.suffix.lower() == ".png" else "JPEG")
@@ -109,7 +109,7 @@ def write_movie(scene: Scene, path: Path, fps: float, turntable: bool) -> int:
 def _write_gif(pictures: Iterator[np.ndarray], path: Path, fps: float) -> None:
     from PIL import Image
 
-    from warpdef.disk import replacing
+    from warpdef.files.disk import replacing
 
     images: list[Any] = []
     for picture in pictures:
@@ -127,7 +127,7 @@ def _write_gif(pictures: Iterator[np.ndarray], path: Path, fps: float) -> None:
 
 
 def _write_mp4(pictures: Iterator[np.ndarray], path: Path, fps: float) -> None:
-    from warpdef.disk import reason, sibling
+    from warpdef.files.disk import reason, sibling
 
     imageio = _require_ffmpeg()
     temporary = sibling(path, "partial.mp4")

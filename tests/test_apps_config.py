@@ -10,8 +10,8 @@ from cyclopts import App, CycloptsError
 
 from warpdef.apps.config_flags import ConfigFlags, entries, flag_name, resolve_config
 from warpdef.config import Config, group_names, preset
-from warpdef.config_file import config_to_toml, known_keys
 from warpdef.errors import ConfigError
+from warpdef.files.config_file import config_to_toml, known_keys
 
 
 def parse(*arguments: str) -> ConfigFlags | None:

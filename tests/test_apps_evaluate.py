@@ -15,9 +15,9 @@ from warpdef.apps.evaluate import evaluate_run
 from warpdef.apps.main import run
 from warpdef.config import Config
 from warpdef.files import read_clouds
+from warpdef.files.run_folder import RunFolder, load_run
 from warpdef.mesh import MeshSequence
-from warpdef.metrics import METRICS
-from warpdef.run_folder import RunFolder, load_run
+from warpdef.truth.metrics import METRICS
 
 
 def moving_box(frames: int) -> MeshSequence:
@@ -108,7 +108,7 @@ def test_sample(case: Case, tmp_path: Path, capfd) -> None:
 @pytest.fixture
 def small_demo(monkeypatch: pytest.MonkeyPatch) -> StandInMethod:
     """The demo with a box for its figure, a method that does nothing, and few samples."""
-    monkeypatch.setattr("warpdef.figure.walking_figure", moving_box)
+    monkeypatch.setattr("warpdef.truth.figure.walking_figure", moving_box)
     monkeypatch.setattr("warpdef.apps.demo.evaluate_run", partial(evaluate_run, samples=200))
     return StandInMethod.install(monkeypatch)
 

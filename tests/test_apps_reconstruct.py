@@ -10,8 +10,8 @@ import pytest
 from stand_in_method import StandInMethod
 
 from warpdef.apps.main import run
-from warpdef.config_file import load_config
-from warpdef.run_folder import load_run
+from warpdef.files.config_file import load_config
+from warpdef.files.run_folder import load_run
 
 
 @pytest.fixture

@@ -180,6 +180,16 @@ def test_work_has_the_size_asked_for_and_survives_a_file(tmp_path: Path) -> None
         np.testing.assert_array_equal(a, b)
 
 
+def test_the_same_motion_in_more_frames() -> None:
+    source = Source("sphere", sphere())
+    more = source.retimed(3, 5).truth.vertices
+    x = source.truth.vertices
+    np.testing.assert_allclose(more, [x[0], (x[0] + x[1]) / 2, x[1], (x[1] + x[2]) / 2, x[2]], atol=1e-12)
+    assert source.retimed(3, 3) is source
+    with pytest.raises(InputError, match="expected at least 9 frames, got 4"):
+        source.retimed(9, 5)
+
+
 def test_data_that_is_too_small_is_refused() -> None:
     with pytest.raises(InputError, match="expected at least 9 frames, got 4"):
         make_work(Source("sphere", sphere()), Size("s", 9, 100, 200, 4, 8))

@@ -24,7 +24,7 @@ from warpdef.apps.bench_sizes import ROWS, WORK, Size, selection
 from warpdef.apps.bench_timing import QUICK
 from warpdef.apps.main import run
 from warpdef.errors import WarpdefError
-from warpdef.workers import find_device
+from warpdef.fit.workers import find_device
 
 TINY = Size("tiny", 3, 200, 300, 4, 24)
 
@@ -112,11 +112,11 @@ def test_neighbours_that_differ_are_an_error(work: Work) -> None:
 def test_sweeps_and_processes_of_their_own(tmp_path: Path, monkeypatch) -> None:
     heard: list[str] = []
     sweeps = run_sweeps(
-        Source("sphere", sphere()), TINY, {"frames": (2, 4)}, None, "cpu", 1, 3, 2, tmp_path, heard.append
+        Source("sphere", sphere()), TINY, {"frames": (3, 6)}, None, "cpu", 1, 3, 2, tmp_path, heard.append
     )
     assert [sweep["field"] for sweep in sweeps] == ["threads", "frames"]
     points = sweeps[1]["points"]
-    assert [p["value"] for p in points] == [2, 4]
+    assert [p["value"] for p in points] == [3, 6]
     assert points[1]["arrays_mb"] > points[0]["arrays_mb"] > 0
     assert all(p["first_s"] >= p["step_s"] > 0 and p["ms"] > 0 and p["peak_mb"] > p["arrays_mb"] for p in points)
     assert set(sweeps[1]["exponents"]) >= {"ms", "arrays_mb", "peak_mb"}

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from synthetic import bending_bar
 
-from warpdef.animation import Animation, linear_colors
 from warpdef.export import FORMATS, export
+from warpdef.export.animation import Animation, linear_colors
 from warpdef.mesh import MeshSequence
 
 BAR = bending_bar(5, 20, np.random.default_rng(0), subdivisions=2)

@@ -9,13 +9,13 @@ import pytest
 from synthetic import bending_bar
 
 from warpdef import export as export_module
-from warpdef.animation import Animation, load_animation
 from warpdef.apps.main import run
 from warpdef.config import Config
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.export import FORMATS, check_place, export
+from warpdef.export.animation import Animation, load_animation
+from warpdef.files.run_folder import RunFolder
 from warpdef.mesh import MeshSequence
-from warpdef.run_folder import RunFolder
 
 BAR = bending_bar(6, 20, np.random.default_rng(0), subdivisions=1)
 VERTICES = BAR.vertices.astype(np.float32)
@@ -209,7 +209,7 @@ def test_missing_packages_are_named(place, monkeypatch):
 
 
 def test_a_glb_over_4_gib_is_refused(place, monkeypatch):
-    from warpdef import gltf
+    from warpdef.export import gltf
 
     monkeypatch.setattr(gltf._Buffer, "size", property(lambda self: 2**32, lambda self, value: None), raising=False)
     with pytest.raises(InputError, match="4 GiB.*fewer frames"):

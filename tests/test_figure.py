@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from warpdef.errors import InputError, MissingPackageError
-from warpdef.figure import walking_figure
 from warpdef.mesh import MeshSequence, TriMesh, unique_edges
-from warpdef.skinning import chain_motions, skin, smooth_weights
+from warpdef.truth.figure import walking_figure
+from warpdef.truth.skinning import chain_motions, skin, smooth_weights
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ import pytest
 
 from warpdef.errors import InputError
 from warpdef.files import read_clouds, read_mesh, read_mesh_sequence, write_ply
-from warpdef.frame_files import CLOUD_SUFFIXES, read_surface
-from warpdef.numpy_files import Npz, read_npy
+from warpdef.files.frame_files import CLOUD_SUFFIXES, read_surface
+from warpdef.files.numpy_files import Npz, read_npy
 
 POINTS = np.random.default_rng(0).normal(size=(40, 3))
 FACES = np.random.default_rng(1).integers(0, 40, size=(30, 3))

@@ -10,8 +10,8 @@ import pytest
 
 from warpdef.errors import InputError
 from warpdef.files import read_mesh, read_mesh_frames, read_mesh_sequence, same_triangles, write_ply
-from warpdef.frame_files import MESH_SUFFIXES, read_surface
-from warpdef.surface import fan_triangles
+from warpdef.files.frame_files import MESH_SUFFIXES, read_surface
+from warpdef.files.surface import fan_triangles
 
 # Two vertices at one place and one without a face: what a reader that "cleans" would lose.
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0.1], [0, 1, 0], [0, 0, 0], [5, 5, 5], [-1, 0.5, 1e-3]], float)

@@ -7,7 +7,7 @@ import pytest
 
 from warpdef.config import KeyframeConfig
 from warpdef.errors import InputError
-from warpdef.keyframe import occupied_voxels, rank_keyframes
+from warpdef.template.keyframe import occupied_voxels, rank_keyframes
 
 
 def clouds_of(counts: list[int]) -> list[np.ndarray]:

@@ -11,7 +11,7 @@ import pytest
 
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.mesh import MeshSequence, TriMesh
-from warpdef.metrics import METRICS, UnitBox, compare_surfaces, edge_distortion, evaluate, f_score
+from warpdef.truth.metrics import METRICS, UnitBox, compare_surfaces, edge_distortion, evaluate, f_score
 
 pytest.importorskip("gpytoolbox")
 SAMPLES = 20_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from warpdef.morton import morton_order
+from warpdef.fit.morton import morton_order
 
 
 def test_the_eight_octants_in_order() -> None:

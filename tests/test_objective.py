@@ -13,10 +13,10 @@ import witness
 from gradients import along, assert_gradients_close, finite_differences
 
 from warpdef.config import Config
+from warpdef.fit.objective import Objective
+from warpdef.fit.problem import Problem
 from warpdef.kernels.levels import node8
 from warpdef.kernels.schedule import DELTA, SCHEDULE_SIZE, template_gradient
-from warpdef.objective import Objective
-from warpdef.problem import Problem
 
 # Chosen so that every term has a say: on sums, isometry at 250 would be a few per cent of a toy's loss.
 LOSS = {

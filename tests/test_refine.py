@@ -12,11 +12,11 @@ import synthetic
 import warp as wp
 
 from warpdef.config import Config
+from warpdef.fit.optimise import Optimiser
+from warpdef.fit.problem import Problem
+from warpdef.fit.refine import Refinement
+from warpdef.fit.workers import Team
 from warpdef.mesh import unique_edges
-from warpdef.optimise import Optimiser
-from warpdef.problem import Problem
-from warpdef.refine import Refinement
-from warpdef.workers import Team
 
 AXES = np.array([0.6, 0.45, 0.35])
 

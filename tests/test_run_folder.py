@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warpdef import run_folder
 from warpdef.config import Config, OptimiserConfig
 from warpdef.errors import InputError
-from warpdef.files import read_mesh, read_mesh_frames, read_mesh_sequence
-from warpdef.json_text import json_text
-from warpdef.run_folder import RunFolder, load_run, write_metrics
+from warpdef.files import read_mesh, read_mesh_frames, read_mesh_sequence, run_folder
+from warpdef.files.json_text import json_text
+from warpdef.files.run_folder import RunFolder, load_run, write_metrics
 
 pytest.importorskip("tomli_w")
 
@@ -281,7 +280,7 @@ def test_metrics(tmp_path, monkeypatch):
     assert write_metrics(out, {"mean": {"tracking": float("nan")}, "frames": []}) == out / "metrics.json"
     assert json.loads((out / "metrics.json").read_text()) == {"mean": {"tracking": None}, "frames": []}
     write_metrics(out, {"mean": 2})
-    monkeypatch.setattr("warpdef.disk.os.replace", full_disk)
+    monkeypatch.setattr("warpdef.files.disk.os.replace", full_disk)
     with pytest.raises(InputError, match=r"metrics\.json: cannot be written \(No space left on device\)"):
         write_metrics(out, {"mean": 3})
     assert json.loads((out / "metrics.json").read_text()) == {"mean": 2}

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from synthetic import icosphere
 
-from warpdef import poisson, template, topology
 from warpdef.config import Config, KeyframeConfig, TemplateConfig
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.mesh import TriMesh
+from warpdef.template import choose as template
+from warpdef.template import poisson, topology
 
 SMALL = TemplateConfig(faces_max=1500)
 

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from warpdef import poisson
 from warpdef.errors import ConfigError, MissingPackageError
+from warpdef.template import poisson
 
 
 def without(monkeypatch: pytest.MonkeyPatch, *packages: str) -> None:

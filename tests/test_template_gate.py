@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from synthetic import icosphere
 
-from warpdef import quality
 from warpdef.config import TemplateConfig
 from warpdef.mesh import TriMesh
+from warpdef.template import quality
 
 
 def gate_of(vertices, faces, points) -> quality.GateReport:

@@ -17,10 +17,10 @@ from warpdef.apps.view_content import Pane, load_content
 from warpdef.apps.view_movie import movie_steps, sheet_frames
 from warpdef.apps.view_player import SPEEDS, Player
 from warpdef.apps.view_probe import RenderingProbe
-from warpdef.colouring import Colouring, edge_stretch, material_colors, spread_out_vertices, spread_over_vertices
 from warpdef.errors import InputError, MissingPackageError
+from warpdef.export.vertex_normals import vertex_normals
 from warpdef.mesh import MeshSequence, unique_edges
-from warpdef.vertex_normals import vertex_normals
+from warpdef.truth.colouring import Colouring, edge_stretch, material_colors, spread_out_vertices, spread_over_vertices
 
 SPHERE, SPHERE_FACES = icosphere(2)
 

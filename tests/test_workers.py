@@ -10,9 +10,9 @@ import pytest
 import warp as wp
 
 from warpdef.errors import DeviceError
+from warpdef.fit.workers import Iteration, Phase, Team, find_device, usable_cores
 from warpdef.kernels.levels import node8
 from warpdef.kernels.schedule import advance, clear_losses
-from warpdef.workers import Iteration, Phase, Team, find_device, usable_cores
 
 
 class Counted:

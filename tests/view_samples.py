@@ -13,7 +13,7 @@ from warpdef.apps.view_probe import RenderingProbe
 from warpdef.config import Config
 from warpdef.errors import MissingPackageError
 from warpdef.files import write_clouds_npz
-from warpdef.run_folder import RunFolder
+from warpdef.files.run_folder import RunFolder
 from warpdef.sequence import PointSequence
 
 FRAMES = 5

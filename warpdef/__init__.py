@@ -23,14 +23,14 @@ _HOMES = {
     "Progress": "warpdef.progress",
     "Reconstruction": "warpdef.result",
     "WarpdefError": "warpdef.errors",
-    "evaluate": "warpdef.metrics",
-    "load_run": "warpdef.run_folder",
+    "evaluate": "warpdef.truth.metrics",
+    "load_run": "warpdef.files.run_folder",
     "read_clouds": "warpdef.files",
     "read_mesh": "warpdef.files",
     "read_mesh_sequence": "warpdef.files",
     "reconstruct": "warpdef.pipeline",
-    "sample_sequence": "warpdef.sample",
-    "walking_figure": "warpdef.figure",
+    "sample_sequence": "warpdef.truth.sample",
+    "walking_figure": "warpdef.truth.figure",
 }
 
 __all__ = ["__version__", *_HOMES]

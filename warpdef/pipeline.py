@@ -18,16 +18,16 @@ import warp as wp
 import warpdef
 from warpdef.config import Config, parse_slice
 from warpdef.errors import WarpdefError
+from warpdef.fit.optimise import Optimiser
+from warpdef.fit.problem import Problem
+from warpdef.fit.refine import Refinement
+from warpdef.fit.workers import Team, find_device, usable_cores
 from warpdef.mesh import TriMesh
-from warpdef.normals import pca_normals
-from warpdef.optimise import Optimiser
-from warpdef.problem import Problem
 from warpdef.progress import Callback, Clock, Interruption, Progress, held_interrupts, peak_memory_mb
-from warpdef.refine import Refinement
 from warpdef.result import Reconstruction
 from warpdef.sequence import PointSequence, Similarity
-from warpdef.template import ChosenTemplate, accept_user_template, choose_template
-from warpdef.workers import Team, find_device, usable_cores
+from warpdef.template.choose import ChosenTemplate, accept_user_template, choose_template
+from warpdef.template.normals import pca_normals
 
 _LOOK_EVERY = 10  # iterations between two looks at the losses: a look waits for the device
 

@@ -1,0 +1,173 @@
+"""A moving mesh to a file of another program, the format chosen by the suffix.
+
+A new format is a file with a function ``write(animation, path)`` and a line in ``FORMATS``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import shutil
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+from warpdef.errors import InputError
+from warpdef.export.animation import Animation
+from warpdef.export.mesh_folders import OBJ_MARK
+from warpdef.files.disk import reason, sibling
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format.
+
+    writer:    ``module:function`` of the package, called with the animation and a path in an empty folder
+    what:      one line for people
+    is_folder: the format's place is a folder of numbered files
+    beside:    what is written next to the file, as a pattern over its stem; files end in a suffix, folders do not
+    """
+
+    writer: str
+    what: str
+    is_folder: bool = False
+    beside: tuple[str, ...] = ()
+
+    def places(self, path: Path) -> list[Path]:
+        """Everything that an export to ``path`` makes."""
+        return [path, *(path.with_name(pattern.format(path.stem)) for pattern in self.beside)]
+
+
+_USD = Format("usd:write_usd", "Universal Scene Description, time samples; needs the extra [usd]")
+
+FORMATS = {
+    "glb": Format("gltf:write_glb", "binary glTF, a morph target a frame: web, Blender, game engines"),
+    "usd": _USD,
+    "usda": _USD,
+    "usdc": _USD,
+    "usdz": _USD,
+    "pc2": Format("point_cache:write_pc2", "point cache, with the base mesh as .obj", beside=("{}_pc2.obj",)),
+    "mdd": Format("point_cache:write_mdd", "point cache, with the base mesh as .obj", beside=("{}_mdd.obj",)),
+    "pvd": Format("paraview:write_pvd", "ParaView, with a folder of .vtp files", beside=("{}_vtp",)),
+    "obj": Format("mesh_folders:write_obj_folder", "a folder of OBJ files", is_folder=True),
+    "ply": Format("mesh_folders:write_ply_folder", "a folder of binary PLY files", is_folder=True),
+    "npz": Format("archive:write_npz_animation", "NumPy: vertices (T, V, 3), faces, fps, names, up"),
+    "anime": Format("anime:write_anime", "DeformingThings4D"),
+}
+"""Formats by suffix, without the dot."""
+
+_NUMBERED = re.compile(r"[0-9]{4,}\.(obj|ply|vtp)")
+
+
+def format_of(path: Path | str, name: str = "") -> Format:
+    """The format of a name without a dot, or, where that is empty, of the suffix of ``path``.
+
+    Raises:
+        InputError: there is no such format; the message lists those there are.
+    """
+    path = Path(path)
+    key = (name or path.suffix).lower().removeprefix(".")
+    if key in FORMATS:
+        return FORMATS[key]
+    hint = {"gltf": "glb", "abc": "usdc", "fbx": "glb", "vtp": "pvd"}.get(key) or next(
+        iter(get_close_matches(key, FORMATS, 1)), ""
+    )
+    meant = f"; did you mean .{hint}?" if hint else ""
+    known = " ".join(f".{key}" for key in FORMATS)
+    got = f"'.{key}'" if key else "none"
+    raise InputError(f"{path}: unknown suffix {got}; expected one of {known}{meant}")
+
+
+def check_place(path: Path | str, form: Format, overwrite: bool = False) -> None:
+    """Check, before anything is read or computed, that an export to ``path`` would find its places free.
+
+    Raises:
+        InputError: something stands there that may not be replaced, or there is no such folder.
+    """
+    path = Path(path)
+    try:
+        ground = "\0" not in str(path) and path.parent.is_dir()
+        for place in form.places(path) if path.name else []:
+            _check_free(place, path, place == path and form.is_folder or not place.suffix, overwrite)
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path!s:.200}: cannot be written ({reason(error)}); choose another place") from None
+    if not ground or not path.name:
+        raise InputError(f"{path}: expected a file in a folder that is there, got '{path.parent}'; make it first")
+
+
+def export(animation: Animation, path: Path | str, *, format: str = "", overwrite: bool = False) -> list[Path]:
+    """Write a moving mesh to ``path`` and, for some formats, to places beside it: all of it, or nothing.
+
+    Args:
+        animation: what to write.
+        path: where to; its suffix chooses the format.
+        format: a key of ``FORMATS`` that overrules the suffix.
+        overwrite: replace what an earlier export left there.
+
+    Returns:
+        The places written, ``path`` first.
+
+    Raises:
+        InputError: an unknown suffix, a place that is taken, or one that cannot be written.
+        MissingPackageError: the format needs a package that is not installed.
+    """
+    path = Path(path)
+    form = format_of(path, format)
+    check_place(path, form, overwrite)
+    module, function = form.writer.split(":")
+    write = getattr(importlib.import_module(f"warpdef.export.{module}"), function)
+    stage = sibling(path, "partial")
+    try:
+        stage.mkdir()
+        write(animation, stage / path.name)
+        places = form.places(path)
+        check_place(path, form, overwrite)  # once more: the writing took its time
+        for place in reversed(places):  # the file that people name comes last, when all else is there
+            _move(stage / place.name, place)
+        return places
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({reason(error)}); choose another place or free space") from None
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+
+
+def _is_ours(base: Path) -> bool:
+    with open(base, "rb") as stream:
+        return stream.read(len(OBJ_MARK)) == OBJ_MARK
+
+
+def _check_free(place: Path, path: Path, is_folder: bool, overwrite: bool) -> None:
+    if not os.path.lexists(place):
+        return
+    if not overwrite:
+        raise InputError(f"{place}: already exists; choose another place, or replace it with --overwrite")
+    if not is_folder and place.is_dir():
+        raise InputError(f"{place}: expected a file to replace, got a folder; choose another place")
+    if not is_folder and place != path and not _is_ours(place):
+        raise InputError(f"{place}: --overwrite replaces only base meshes of earlier exports; choose another place")
+    if is_folder:
+        foreign = "" if place.is_dir() and not place.is_symlink() else place.name
+        foreign = foreign or next((p.name for p in sorted(place.iterdir()) if not _NUMBERED.fullmatch(p.name)), "")
+        if foreign:
+            raise InputError(
+                f"{place}: --overwrite replaces only folders of numbered meshes, but found '{foreign}'; "
+                "choose another place"
+            )
+
+
+def _move(new: Path, place: Path) -> None:
+    """Rename ``new`` to ``place``; an old folder goes only after the new one is in place."""
+    if not place.is_dir():
+        os.replace(new, place)
+        return
+    old = sibling(place, "old")
+    os.rename(place, old)
+    try:
+        os.rename(new, place)
+    except BaseException:
+        os.rename(old, place)
+        raise
+    shutil.rmtree(old, ignore_errors=True)

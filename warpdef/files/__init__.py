@@ -1,0 +1,19 @@
+"""Everything that is read from or written to disk, in one place to import from.
+
+Behind it: ``cloud_files`` and ``mesh_files`` (sequences), ``frame_files`` (numbered files), ``ply``, ``text_formats``
+and ``numpy_files`` (formats), ``disk`` (bytes). Results live in ``run_folder``, the configuration in ``config_file``.
+"""
+
+from warpdef.files.cloud_files import read_clouds, write_clouds_npz
+from warpdef.files.mesh_files import read_mesh, read_mesh_frames, read_mesh_sequence, same_triangles
+from warpdef.files.ply import write_ply
+
+__all__ = [
+    "read_clouds",
+    "read_mesh",
+    "read_mesh_frames",
+    "read_mesh_sequence",
+    "same_triangles",
+    "write_clouds_npz",
+    "write_ply",
+]

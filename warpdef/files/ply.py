@@ -1,0 +1,239 @@
+"""PLY files: ASCII and both binary orders in, binary little-endian out.
+
+The header's counts are checked against the file's size before anything is allocated. An ASCII body becomes one array
+of doubles and is then read by the same code as a binary body whose every property is a double.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from warpdef.errors import InputError
+from warpdef.files.disk import read_bytes, replacing
+from warpdef.files.surface import Surface, fan_triangles
+from warpdef.mesh import check_faces
+
+_TYPES = {
+    **{
+        "char": "i1",
+        "uchar": "u1",
+        "short": "i2",
+        "ushort": "u2",
+        "int": "i4",
+        "uint": "u4",
+        "float": "f4",
+        "double": "f8",
+    },
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float32": "f4", "float64": "f8"},
+}
+_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+_HEADER_MAX = 1 << 20
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    # (name, type of a value, type of the list's length or None for a single value)
+    properties: list[tuple[str, np.dtype, np.dtype | None]] = field(default_factory=list)
+
+    def row_dtype(self, lengths: dict[str, int]) -> np.dtype:
+        """Layout of a row whose lists have the given lengths."""
+        fields: list[tuple] = []
+        for name, value, length in self.properties:
+            if length is None:
+                fields.append((name, value))
+            else:
+                fields += [(f"{name} length", length), (name, value, (lengths[name],))]
+        return np.dtype(fields)
+
+
+def read_ply(path: Path) -> Surface:
+    """Points, normals (``nx ny nz``) and faces of a PLY file.
+
+    Raises:
+        InputError: not a PLY file, a damaged header, no x, y, z, or fewer data than the header declares.
+    """
+    data = read_bytes(path)
+    elements, ascii_body, offset = _parse_header(data, str(path))
+    buffer = _numbers(data[offset:], str(path)) if ascii_body else memoryview(data)[offset:]
+    points = normals = faces = None
+    for element in elements:
+        columns, buffer = _read_element(element, buffer, str(path))
+        if element.name == "vertex":
+            points = _three_columns(columns, ("x", "y", "z"))
+            normals = _three_columns(columns, ("nx", "ny", "nz"))
+            if points is None:
+                raise InputError(f"{path}: expected vertex properties x, y, z, got {', '.join(columns) or 'none'}")
+        elif element.name == "face":
+            indices = columns.get("vertex_indices", columns.get("vertex_index"))
+            if isinstance(indices, tuple):
+                faces = fan_triangles(_whole_numbers(indices[0], str(path)), indices[1], str(path))
+    if points is None:
+        raise InputError(f"{path}: expected an element 'vertex' in the PLY header, got none; export the points")
+    return Surface(points, normals, faces)
+
+
+def _parse_header(data: bytes, where: str) -> tuple[list[_Element], bool, int]:
+    """Elements, whether the body is ASCII, and where the body starts."""
+    if not data.startswith(b"ply"):
+        raise InputError(f"{where}: expected a PLY file, got one that does not start with 'ply'; check its suffix")
+    end = re.search(rb"\nend_header[ \t]*\r?\n", data[:_HEADER_MAX])
+    if end is None:
+        raise InputError(f"{where}: the PLY header has no end; the file is truncated: write it again")
+    elements: list[_Element] = []
+    form, order = None, ""
+    for line in data[: end.start()].decode("latin-1").splitlines()[1:]:
+        words = line.split()
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        try:
+            if words[0] == "format":
+                form, order = words[1], _ORDERS[words[1]]
+            elif words[0] == "element":
+                elements.append(_Element(words[1], int(words[2])))
+            elif words[0] == "property" and words[1] == "list":
+                length, value = (_value_type(w, form, order) for w in words[2:4])
+                elements[-1].properties.append((words[4], value, length))
+            elif words[0] == "property":
+                elements[-1].properties.append((words[2], _value_type(words[1], form, order), None))
+            else:
+                raise KeyError
+        except (KeyError, IndexError, ValueError):
+            raise InputError(f"{where}: PLY header: cannot read the line {line[:80]!r}; write the file again") from None
+        if elements and elements[-1].count < 0:
+            raise InputError(f"{where}: PLY header: expected counts from 0, got {elements[-1].count}")
+    if form is None:
+        raise InputError(f"{where}: PLY header: expected a 'format' line, got none; write the file again")
+    return elements, form == "ascii", end.end()
+
+
+def _value_type(word: str, form: str | None, order: str) -> np.dtype:
+    known = _TYPES[word]
+    return np.dtype("<f8") if form == "ascii" else np.dtype(order + known)
+
+
+def _numbers(body: bytes, where: str) -> memoryview:
+    try:
+        return memoryview(np.array([float(word) for word in body.split()]).tobytes())
+    except ValueError as error:
+        raise InputError(f"{where}: expected numbers after the PLY header, got something else ({error})") from None
+
+
+def _read_element(element: _Element, buffer: memoryview, where: str) -> tuple[dict, memoryview]:
+    """Columns by name (a list property: flat values and lengths), and the rest of the buffer."""
+    if element.count == 0 or not element.properties:
+        return {name: np.zeros(0) for name, _, length in element.properties if length is None}, buffer
+    lists = [name for name, _, length in element.properties if length is not None]
+    smallest = element.row_dtype(dict.fromkeys(lists, 0))
+    _require_bytes(element, element.count * smallest.itemsize, buffer, where)
+    lengths = _first_lengths(element, buffer, where) if lists else {}
+    row = element.row_dtype(lengths) if max(lengths.values(), default=0) < 256 else None
+    if row is not None and element.count * row.itemsize <= len(buffer):
+        table = np.frombuffer(buffer, row, element.count)
+        if all((table[f"{name} length"] == lengths[name]).all() for name in lists):
+            columns = {
+                name: (table[name].reshape(-1), np.full(element.count, lengths[name])) if name in lists else table[name]
+                for name, _, _ in element.properties
+            }
+            return columns, buffer[element.count * row.itemsize :]
+    if not lists:
+        _require_bytes(element, element.count * smallest.itemsize, buffer, where)
+    return _walk_rows(element, buffer, where)
+
+
+def _require_bytes(element: _Element, needed: int, buffer: memoryview, where: str) -> None:
+    if needed > len(buffer):
+        raise InputError(
+            f"{where}: expected {element.count} of '{element.name}' as the PLY header says, got a file too short for "
+            "them; it is truncated: write it again"
+        )
+
+
+def _list_length(buffer: memoryview, at: int, kind: np.dtype, element: _Element, where: str) -> int:
+    _require_bytes(element, at + kind.itemsize, buffer, where)
+    length = struct.unpack_from(("<" if kind.str[0] != ">" else ">") + kind.char, buffer, at)[0]
+    if not length >= 0 or length != length // 1:
+        raise InputError(f"{where}: '{element.name}': expected list lengths from 0, got {length}; the file is damaged")
+    _require_bytes(element, at + kind.itemsize + int(min(length, 1e18)), buffer, where)
+    return int(length)
+
+
+def _first_lengths(element: _Element, buffer: memoryview, where: str) -> dict[str, int]:
+    at, lengths = 0, {}
+    for name, value, length in element.properties:
+        if length is not None:
+            lengths[name] = _list_length(buffer, at, length, element, where)
+            at += length.itemsize
+        at += value.itemsize * lengths.get(name, 1)
+    return lengths
+
+
+def _walk_rows(element: _Element, buffer: memoryview, where: str) -> tuple[dict, memoryview]:
+    """Rows of unequal length, one after the other."""
+    pieces: dict[str, list] = {name: [] for name, _, _ in element.properties}
+    counts: dict[str, list[int]] = {name: [] for name, _, length in element.properties if length is not None}
+    at = 0
+    for _ in range(element.count):
+        for name, value, length in element.properties:
+            number = 1
+            if length is not None:
+                number = _list_length(buffer, at, length, element, where)
+                at += length.itemsize
+                counts[name].append(number)
+            _require_bytes(element, at + number * value.itemsize, buffer, where)
+            pieces[name].append(buffer[at : at + number * value.itemsize])
+            at += number * value.itemsize
+    columns = {}
+    for name, value, length in element.properties:
+        flat = np.frombuffer(b"".join(pieces[name]), value)
+        columns[name] = flat if length is None else (flat, np.array(counts[name]))
+    return columns, buffer[at:]
+
+
+def _three_columns(columns: dict, names: tuple[str, str, str]) -> np.ndarray | None:
+    found = [column for name in names if isinstance(column := columns.get(name), np.ndarray)]
+    if len(found) < 3:
+        return None
+    # A damaged file may hold signalling NaNs, of which NumPy would warn; they are refused later by their frame's name.
+    with np.errstate(invalid="ignore"):
+        return np.stack(found, axis=1).astype(np.float64)
+
+
+def _whole_numbers(values: np.ndarray, where: str) -> np.ndarray:
+    if values.dtype.kind == "f" and not (np.abs(values) < 2**53).all() or (values != values // 1).any():
+        raise InputError(f"{where}: faces: expected whole vertex indices, got fractions; the file is damaged")
+    return values.astype(np.int64)
+
+
+def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Write a mesh as binary little-endian PLY; the file appears at once or not at all.
+
+    Args:
+        path: where to; an existing file is replaced.
+        vertices: shape (V, 3); float32 is stored as float, anything else as double.
+        faces: shape (F, 3), indices into ``vertices``.
+
+    Raises:
+        InputError: wrong shapes or indices, or the file cannot be written.
+    """
+    path, vertices = Path(path), np.asarray(vertices)
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise InputError(f"{path}: vertices: expected shape (V, 3), got {vertices.shape}")
+    single = vertices.dtype == np.float32
+    rows = np.empty(len(faces), dtype=[("length", "u1"), ("indices", "<i4", (3,))])
+    rows["length"], rows["indices"] = 3, check_faces(faces, len(vertices), str(path))
+    real = "float" if single else "double"
+    header = ["ply", "format binary_little_endian 1.0", "comment warpdef", f"element vertex {len(vertices)}"]
+    header += [f"property {real} {axis}" for axis in "xyz"]
+    header += [f"element face {len(rows)}", "property list uchar int vertex_indices", "end_header", ""]
+    with replacing(path) as stream:
+        stream.write("\n".join(header).encode("ascii"))
+        stream.write(np.ascontiguousarray(vertices, dtype="<f4" if single else "<f8").tobytes())
+        stream.write(rows.tobytes())

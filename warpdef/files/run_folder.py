@@ -1,0 +1,248 @@
+"""The folder of one run: complete or not there, never half, and nothing of anyone else's is ever deleted.
+
+    sequence.npz   vertices (T, V, 3) float32 in input units, faces (F, 3) int32, keyframe, names (T,)
+    meshes/        0000.ply, 0001.ply, ...: the same, one mesh a frame
+    config.toml    the configuration, whole
+    report.json    what happened
+    steps.jsonl    the loss curve, a line an iteration
+    metrics.json   added by an evaluation
+
+It is written under a hidden name beside its place and renamed at the end.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpdef.config import Config
+from warpdef.errors import InputError
+from warpdef.files.config_file import config_to_toml, load_config
+from warpdef.files.disk import must_exist, read_bytes, reason, replacing, sibling
+from warpdef.files.json_text import json_text
+from warpdef.files.mesh_files import read_mesh_sequence
+from warpdef.files.numpy_files import Npz, write_npz
+from warpdef.files.ply import write_ply
+from warpdef.mesh import MeshSequence
+
+_REQUIRED = ("sequence.npz", "config.toml", "report.json")
+_OWN = {*_REQUIRED, "steps.jsonl", "metrics.json", "meshes"}
+# Left behind by file browsers, of no one's making.
+_LITTER = {".DS_Store", "Thumbs.db", "desktop.ini"}
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run read back; see ``load_run``.
+
+    meshes:   the result, input units   T frames, V vertices, F faces
+    keyframe: index of the template's frame
+    names:    the input's frame names   T strings
+    config:   the configuration of the run
+    report:   contents of report.json
+    """
+
+    path: Path
+    meshes: MeshSequence
+    keyframe: int
+    names: tuple[str, ...]
+    config: Config
+    report: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A place for a result, found free and writable by ``RunFolder.prepare``."""
+
+    path: Path
+    overwrite: bool
+
+    @classmethod
+    def prepare(cls, path: Path | str, overwrite: bool = False) -> RunFolder:
+        """Check, before the long computation, that a result can be put at ``path``; leaves nothing behind.
+
+        Raises:
+            InputError: something stands there and ``overwrite`` is false, or it is not a warpdef result, or the
+                place cannot be written.
+        """
+        try:
+            # A link is followed once, now, so that its target is what is judged and replaced.
+            folder = cls(Path(os.path.realpath(path)), overwrite)
+            _check_place(folder.path, overwrite)
+            ground = next(p for p in folder.path.parents if p.exists())
+            probe = sibling(ground / folder.path.name, "partial")
+            probe.mkdir()
+            probe.rmdir()
+        except (OSError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{path!s:.200}: cannot be created ({reason(error)}); choose another place") from None
+        return folder
+
+    def save(
+        self,
+        *,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        keyframe: int,
+        config: Config,
+        report: Mapping[str, Any] | Callable[[], Mapping[str, Any]],
+        steps: Iterable[Mapping[str, Any]],
+        names: Sequence[str],
+    ) -> Path:
+        """Write the whole result and move it into place.
+
+        Args:
+            vertices: shape (T, V, 3), input units; stored as float32.
+            faces: shape (F, 3).
+            keyframe: index of the template's frame.
+            config: the resolved configuration.
+            report: for report.json; a function is called after everything else is written, so that it can
+                tell how long the writing took.
+            steps: for steps.jsonl, a mapping an iteration.
+            names: T names of the input's frames.
+
+        Returns:
+            The folder, absolute.
+
+        Raises:
+            InputError: shapes that do not fit, or the folder cannot be written; then nothing is left behind and
+                an older result still stands. If the place was taken meanwhile, the result is kept beside it, and the
+                message says where.
+        """
+        sequence = MeshSequence(np.asarray(vertices, dtype=np.float32), faces)
+        if len(names) != len(sequence) or not 0 <= keyframe < len(sequence):
+            raise InputError(
+                f"{self.path}: expected {len(sequence)} frame names and a keyframe among them, "
+                f"got {len(names)} names and keyframe {keyframe}"
+            )
+        temporary = sibling(self.path, "partial")
+        try:
+            (temporary / "meshes").mkdir(parents=True)
+            arrays = {"vertices": sequence.vertices, "faces": sequence.faces}
+            arrays |= {"keyframe": np.array(keyframe, dtype=np.int64), "names": np.array(names, dtype=np.str_)}
+            write_npz(temporary / "sequence.npz", arrays)
+            for frame, positions in enumerate(sequence.vertices):
+                write_ply(temporary / "meshes" / f"{frame:04d}.ply", positions, sequence.faces)
+            _write_text(temporary / "config.toml", config_to_toml(config))
+            _write_text(temporary / "steps.jsonl", "".join(json_text(step, None) + "\n" for step in steps))
+            _write_text(temporary / "report.json", json_text(report() if callable(report) else report) + "\n")
+            return _move_into_place(temporary, self.path, self.overwrite)
+        except OSError as error:
+            raise InputError(
+                f"{self.path}: cannot be written ({reason(error)}); choose another place or free space"
+            ) from None
+        finally:
+            # Gone already after success; after anything else, Ctrl-C included, no half result may stay.
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+def load_run(path: Path | str) -> Run:
+    """Read a run folder back.
+
+    Raises:
+        InputError: not a run folder, or one of its files is damaged.
+    """
+    path = Path(path)
+    _require_run(path)
+    npz = Npz(path / "sequence.npz")
+    meshes = read_mesh_sequence(path)
+    keyframe = int(npz.array("keyframe")) if npz.header("keyframe")[0] == () else -1
+    names = tuple(npz.texts("names"))
+    if len(names) != len(meshes) or not 0 <= keyframe < len(meshes):
+        raise InputError(
+            f"{npz.path}: expected {len(meshes)} names and a keyframe among them; it is damaged: run again"
+        )
+    try:
+        report = json.loads(read_bytes(path / "report.json"))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path / 'report.json'}: not valid JSON ({reason(error)}); run again") from None
+    return Run(path, meshes, keyframe, names, load_config(path / "config.toml"), report)
+
+
+def write_metrics(path: Path | str, metrics: Mapping[str, Any]) -> Path:
+    """Put ``metrics.json`` into a run folder, whole or not at all; an older one is replaced. Returns its path.
+
+    Raises:
+        InputError: not a run folder, or it cannot be written.
+    """
+    path = Path(path)
+    _require_run(path)
+    _write_text(path / "metrics.json", json_text(metrics) + "\n")
+    return path / "metrics.json"
+
+
+def _write_text(path: Path, text: str) -> None:
+    with replacing(path) as stream:
+        stream.write(text.encode("utf-8"))
+
+
+def _require_run(path: Path) -> None:
+    must_exist(path)
+    missing = [name for name in _REQUIRED if not (path / name).is_file()]
+    if missing:
+        raise InputError(f"{path}: expected the folder of a warpdef run, got one without {', '.join(missing)}")
+
+
+def _check_place(path: Path, overwrite: bool) -> None:
+    """Raise ``InputError`` unless ``path`` is free, or is a result that may be replaced."""
+    if not os.path.lexists(path):
+        return
+    if not overwrite:
+        raise InputError(f"{path}: already exists; choose another place, or replace it with --overwrite")
+    foreign = _foreign(path)
+    if foreign:
+        raise InputError(f"{path}: --overwrite replaces only warpdef results, but {foreign}; choose another place")
+
+
+def _foreign(path: Path) -> str:
+    """Why what stands at ``path`` must not be deleted; empty if it is a warpdef result and nothing else."""
+    if not path.is_dir():
+        return "it is a file"
+    names = {p.name for p in path.iterdir()}
+    if not names:
+        return ""
+    for name in _REQUIRED:
+        if not (path / name).is_file():
+            return f"it has no {name}"
+    meshes = path / "meshes"
+    if meshes.is_symlink() or (meshes.exists() and not meshes.is_dir()):
+        return "its meshes are elsewhere"
+    others = names - _OWN - _LITTER
+    if meshes.is_dir():
+        own_mesh = {f"{frame:04d}.ply" for frame in range(len(os.listdir(meshes)))}
+        others |= {f"meshes/{name}" for name in set(os.listdir(meshes)) - own_mesh - _LITTER}
+    return f"it holds '{min(others)}', which is not of a run" if others else ""
+
+
+def _move_into_place(new: Path, place: Path, overwrite: bool) -> Path:
+    """Rename ``new`` to ``place``; what stood there goes only after ``new`` is in place."""
+    try:
+        _check_place(place, overwrite)
+    except InputError as error:
+        # Taken during the computation: a finished result is not thrown away for that.
+        kept = next(p for k in range(1, 10**6) if not os.path.lexists(p := place.with_name(f"{place.name}-{k}")))
+        os.rename(new, kept)
+        raise InputError(f"{error}. The finished result is in {kept}") from None
+    if not os.path.lexists(place):
+        os.rename(new, place)
+        return place
+    old = sibling(place, "old")
+    try:
+        os.rename(place, old)
+        os.rename(new, place)
+    except BaseException:
+        if old.exists() and not os.path.lexists(place):
+            os.rename(old, place)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+    return place

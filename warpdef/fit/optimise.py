@@ -1,0 +1,171 @@
+"""One step of preconditioned Adam on grids and template (paper, sec. Spatial Smoothness and Implementation Details).
+
+    u: what Adam moves     x = (I + lambda L)^-1 u: what the objective sees     g_u = (I + lambda L)^-1 g_x
+
+Grids and template start from x = 0 and the mesh, u = (I + lambda L) x.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import warp as wp
+
+from warpdef.fit.objective import Objective
+from warpdef.fit.problem import Problem
+from warpdef.fit.sobolev import SolveReport, grid_solver, solver_name, template_solver
+from warpdef.fit.workers import Iteration, Phase, Team
+from warpdef.kernels.adam import adam
+from warpdef.kernels.levels import node8
+from warpdef.kernels.schedule import SCHEDULE_SIZE, advance, clear_nodes, copy_vectors, template_gradient
+
+
+class Optimiser:
+    """State and phases of the descent on one problem.
+
+    Args:
+        problem: what to fit. iterations: length of the run, which the schedules refer to. team: CPU threads.
+        capture: on CUDA, run an iteration as one graph.
+    """
+
+    def __init__(self, problem: Problem, iterations: int, team: Team, capture: bool = True) -> None:
+        self.problem, self.iterations = problem, iterations
+        self.config = problem.config.optimiser
+        self.done = 0
+        device = problem.device
+        shape = (len(problem.transitions), problem.levels.node_count)
+
+        self._step = wp.zeros(1, dtype=wp.int32, device=device)
+        self._schedule = wp.zeros(SCHEDULE_SIZE, dtype=wp.float32, device=device)
+        node_arrays = (wp.zeros(shape, dtype=node8, device=device) for _ in range(6))
+        self._u, self.nodes, self._adj_nodes, self._adj_u, self._first, self._second = node_arrays
+        self._shape_u, self._adj_shape, self._adj_shape_u, self._shape_first, self._shape_second = (
+            wp.zeros(problem.vertex_count, dtype=wp.vec3, device=device) for _ in range(5)
+        )
+        self._shape_u.assign(_unsolve(problem))
+        self.objective = Objective(problem, self.nodes, self._adj_nodes, self._schedule)
+        # The template apart from the keyframe's row of vertices, which other tasks read while it changes.
+        self._shape = problem.vectors(problem.template)
+
+        sobolev = problem.config.sobolev
+        factor = 1.0 if sobolev.enabled else sobolev.unpreconditioned_rate
+        finest_first = self.config.rate * self.config.rate_growth ** np.arange(
+            problem.config.grid.coarsest - 1, problem.config.grid.levels
+        )
+        self._rate = problem.numbers(factor * finest_first[problem.levels.node_level()])
+        self._shape_rate = problem.numbers(np.array([factor * self.config.template_rate]))
+
+        # Two of each: a conjugate-gradient solver starts from its own last solution.
+        solvers = [grid_solver(problem.config, problem.levels, problem.kept, device) for _ in range(2)]
+        self._pull_grid, self._push_grid = solvers
+        self._pull_shape, self._push_shape = (template_solver(problem.config, problem.mesh, device) for _ in range(2))
+        self.solves = SolveReport(solver_name(problem.config))
+        self._warmup = Iteration(self._phases(warmup=True), device, team, capture)
+        self._full = Iteration(self._phases(warmup=False), device, team, capture)
+
+    def prepare(self) -> None:
+        """Compile every kernel, so that the first step costs what the others do."""
+        if self.problem.device.is_cpu:
+            self._warmup.prepare()
+            self._full.prepare()
+        else:
+            wp.load_module("warpdef.kernels", device=self.problem.device, recursive=True)
+
+    def step(self) -> None:
+        """One iteration; on CUDA it returns before the device is done."""
+        (self._warmup if self.done < self.config.warmup else self._full).run()
+        self.done += 1
+
+    def look(self) -> dict[str, float]:
+        """Losses of the last iteration; notes what the solves did. Waits for the device."""
+        for solver in (self._pull_grid, self._push_grid, self._pull_shape, self._push_shape):
+            solver.look(self.solves)
+        return self.objective.losses()
+
+    def finish(self) -> None:
+        """Move ``objective.vertices`` to where the parameters, as they are now, put them."""
+        self._place_template()
+        self.objective.chain_all()
+
+    def vertices(self) -> np.ndarray:
+        """Vertices of all frames for the parameters as they are now, (T, V, 3) float32, cube units, template order."""
+        self.finish()
+        return self.objective.placed_vertices()
+
+    # Tasks.
+
+    def _advance(self) -> None:
+        c = self.config
+        advance(self.iterations, c.decay == "cosine", c.beta1, c.beta2, self._step, self._schedule)
+        self._place_template()
+
+    def _place_template(self) -> None:
+        copy_vectors(self._shape, self.objective.vertices[self.problem.transitions.keyframe])
+
+    def _descend(self, first: int, last: int) -> None:
+        """Adam on the grids of transitions ``first .. last``; then their gradient is cleared for the next iteration."""
+        nodes = self.problem.levels.node_count
+        begin, count = first * nodes, (last - first) * nodes
+        c = self.config
+        state = [a.flatten() for a in (self._adj_u, self._first, self._second, self._u)]
+        adam(begin, count, self._rate, self._schedule, (c.beta1, c.beta2), c.epsilon, *state)
+        clear_nodes(begin, count, self._adj_nodes.flatten())
+
+    def _descend_shape(self) -> None:
+        c = self.config
+        state = [self._adj_shape_u, self._shape_first, self._shape_second, self._shape_u]
+        betas = (c.beta1, c.beta2)
+        adam(0, self.problem.vertex_count, self._shape_rate, self._schedule, betas, c.epsilon, *state)
+
+    def _gather_shape(self, warmup: bool) -> None:
+        o, key = self.objective, self.problem.transitions.keyframe
+        follow = self.problem.config.loss.template_follows_all and not warmup
+        template_gradient(key, follow, o.adj_chamfer, o.adj_isometry, o.carry, self._adj_shape)
+
+    # Phases.
+
+    def _phases(self, warmup: bool) -> list[Phase]:
+        o = self.objective
+        gather = partial(self._gather_shape, warmup)
+        grid = [] if warmup else [o.scatter]
+        pull = partial(self._pull_grid.solve, self._adj_nodes, self._adj_u)
+        push = partial(self._push_grid.solve, self._u, self.nodes)
+        pull_shape = partial(self._pull_shape.solve, self._adj_shape, self._adj_shape_u, 0, 1)
+        push_shape = partial(self._push_shape.solve, self._shape_u, self._shape, 0, 1)
+        if not self._pull_grid.direct:
+            shape = _in_turn([gather, pull_shape, self._descend_shape, push_shape])
+            steps = [partial(_span_in_turn, [*grid, pull, self._descend, push], a, b) for a, b in o.steps()]
+            last = [Phase("descend", [shape, *steps])]
+        else:
+            everything = (0, len(self.problem.transitions))
+            last = [
+                Phase("gather", [gather, *(partial(_span_in_turn, grid, a, b) for a, b in o.steps())]),
+                Phase("pull solves", [partial(pull, *everything), pull_shape], direct=True),
+                Phase("descend", [self._descend_shape, *(partial(self._descend, a, b) for a, b in o.steps())]),
+                Phase("push solves", [partial(push, *everything), push_shape], direct=True),
+            ]
+        return [Phase("advance", [self._advance]), *o.phases(warmup), *last]
+
+
+def _in_turn(calls: list[Callable[[], None]]) -> Callable[[], None]:
+    def run() -> None:
+        for call in calls:
+            call()
+
+    return run
+
+
+def _span_in_turn(calls: list[Callable[[int, int], None]], first: int, last: int) -> None:
+    for call in calls:
+        call(first, last)
+
+
+def _unsolve(problem: Problem) -> np.ndarray:
+    """u = (I + lambda L) x of the template, float32."""
+    graph, x = problem.mesh, problem.template
+    degree = np.diff(graph.row)
+    around = np.zeros_like(x)
+    np.add.at(around, np.repeat(np.arange(len(x)), degree), x[graph.column])
+    return (x + problem.template_lambda * (degree[:, None] * x - around)).astype(np.float32)

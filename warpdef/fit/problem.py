@@ -1,0 +1,185 @@
+"""What one optimisation works on: clouds, template and transitions as device arrays, laid out once.
+
+T frames, S = T - 1 transitions; transition s lies between frames s and s + 1 and leads away from the keyframe k: from
+s to s + 1 for s >= k, from s + 1 to s for s < k. Every frame but k is the target of exactly one transition. Frames
+stand behind each other in flat arrays, points along a Morton curve, so a frame is one span.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import warp as wp
+
+from warpdef.config import Config
+from warpdef.fit.morton import morton_order
+from warpdef.kernels.graphs import Graph, kept_nodes, mesh_graph
+from warpdef.kernels.levels import LevelTable
+from warpdef.mesh import unique_edges
+
+_NEIGHBOURS = 16  # of a point, for the local shape of its cloud
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Sources and targets of all S transitions.
+
+    source, target: frames                              (S,) int
+    of_frame: the transition whose target is a frame    (T,) int; -1 at the keyframe
+    forward, backward: transitions from the keyframe outwards
+    """
+
+    keyframe: int
+    source: np.ndarray
+    target: np.ndarray
+    of_frame: np.ndarray
+    forward: range
+    backward: range
+
+    @classmethod
+    def away_from(cls, keyframe: int, frame_count: int) -> Transitions:
+        s = np.arange(frame_count - 1)
+        ahead = s >= keyframe
+        source, target = np.where(ahead, s, s + 1), np.where(ahead, s + 1, s)
+        of_frame = np.full(frame_count, -1)
+        of_frame[target] = s
+        backward = range(keyframe - 1, -1, -1)
+        return cls(keyframe, source, target, of_frame, range(keyframe, frame_count - 1), backward)
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def targets(self, first: int, last: int) -> tuple[int, int]:
+        """The run of frames that transitions ``first .. last`` lead to; it spans the keyframe if they do."""
+        frames = self.target[first:last]
+        return int(frames.min()), int(frames.max()) + 1
+
+
+class Problem:
+    """Static data of a run on one device.
+
+    Args:
+        clouds: T arrays (N_t, 3), cube units. normals: T arrays (N_t, 3), unit length; or None.
+        vertices: template at the keyframe, (V, 3), cube units. faces: (F, 3). keyframe: its frame.
+        oriented: whether a frame's normals are known to point outwards; None: all are.
+    """
+
+    def __init__(
+        self,
+        clouds: list[np.ndarray],
+        normals: list[np.ndarray] | None,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        keyframe: int,
+        config: Config,
+        device: wp.Device,
+        oriented: Sequence[bool] | None = None,
+    ) -> None:
+        self.config, self.device = config, device
+        self.transitions = Transitions.away_from(keyframe, len(clouds))
+        self.levels = LevelTable.build(config.grid.coarsest, config.grid.levels)
+        orders = [morton_order(c) for c in clouds]
+        clouds = [c[o] for c, o in zip(clouds, orders, strict=True)]
+        if normals is not None:
+            normals = [n[o] for n, o in zip(normals, orders, strict=True)]
+        self._lay_clouds(clouds, normals)
+        self._lay_moved(clouds)
+        self._lay_template(vertices, faces)
+        self.oriented = np.ones(len(clouds), dtype=bool) if oriented is None else np.asarray(oriented)
+        self.kept = self._keep_nodes(clouds)
+
+    def _lay_clouds(self, clouds: list[np.ndarray], normals: list[np.ndarray] | None) -> None:
+        self.cloud_sizes = np.array([len(c) for c in clouds])
+        self.cloud_first = _first(self.cloud_sizes)
+        flat = np.concatenate(clouds)
+        self.box = np.stack([flat.min(axis=0), flat.max(axis=0)])
+        self.cloud = self.vectors(flat)
+        # Without a tangential part normals are multiplied by 0; zeros are as good as any.
+        self.normals = self.vectors(np.zeros_like(flat) if normals is None else np.concatenate(normals))
+        self.cloud_frame = self.integers(np.repeat(np.arange(len(clouds)), self.cloud_sizes))
+        self.cloud_transition = self.integers(np.repeat(self.transitions.of_frame, self.cloud_sizes))
+
+    def _lay_moved(self, clouds: list[np.ndarray]) -> None:
+        source = self.transitions.source
+        self.moved_sizes = self.cloud_sizes[source]
+        self.moved_first = _first(self.moved_sizes)
+        self.origin = self.vectors(np.concatenate([clouds[t] for t in source]))
+        self.moved_transition = self.integers(np.repeat(np.arange(len(source)), self.moved_sizes))
+        self.moved_target = self.integers(np.repeat(self.transitions.target, self.moved_sizes))
+
+    def _lay_template(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        # Vertices travel in Morton order; `place` takes results back to the template's own order.
+        order = morton_order(vertices)
+        self.place = np.argsort(order)
+        self.template = vertices[order]
+        self.faces = self.place[faces].astype(np.int32)
+        edges = self.place[unique_edges(faces)]
+        self.edges = wp.array(edges.astype(np.int32), dtype=wp.int32, ndim=2, device=self.device)
+        self.mesh: Graph = mesh_graph(edges, len(vertices), self.template_lambda)
+        self.vertex_frame = self.integers(np.repeat(np.arange(self.frame_count), len(vertices)))
+
+    def _keep_nodes(self, clouds: list[np.ndarray]) -> np.ndarray:
+        kept = np.ones((len(self.transitions), self.levels.node_count), dtype=bool)
+        if self.config.grid.prune:
+            ends = zip(self.transitions.source, self.transitions.target, strict=True)
+            for s, (a, b) in enumerate(ends):
+                kept[s] = kept_nodes(self.levels, [clouds[a], clouds[b]], self.config.grid.prune_cells)
+        return kept
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.cloud_sizes)
+
+    @cached_property
+    def spacing(self) -> np.ndarray:
+        """Mean distance of a cloud's points to their nearest fellow, cube units, shape (T,)."""
+        return self._local_shape[0]
+
+    @cached_property
+    def thickness(self) -> float:
+        """Thickness over width of the clouds' neighbourhoods, median over points, then frames: what noise adds to."""
+        return float(np.median(self._local_shape[1]))
+
+    @cached_property
+    def _local_shape(self) -> np.ndarray:
+        """Spacing and thickness of every frame, shape (2, T)."""
+        from scipy.spatial import cKDTree
+
+        cloud, first = self.cloud.numpy().astype(np.float64), self.cloud_first
+        found = []
+        for a, b in zip(first[:-1], first[1:], strict=True):
+            distance, index = cKDTree(cloud[a:b]).query(cloud[a:b], k=min(_NEIGHBOURS, b - a))
+            near = cloud[a:b][index]
+            near -= near.mean(axis=1, keepdims=True)
+            spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near))
+            thin, wide = np.sqrt(np.maximum(np.median(spread[:, :2], axis=0), 0.0))
+            found.append((distance[:, 1].mean(), thin / max(wide, 1e-12)))
+        return np.array(found).T
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self.template)
+
+    @property
+    def template_lambda(self) -> float:
+        """Smoothing weight on the template's edges; 0 without preconditioning."""
+        sobolev = self.config.sobolev
+        return sobolev.lambda_template if sobolev.enabled else 0.0
+
+    def vectors(self, a: np.ndarray) -> wp.array:
+        """An (N, 3) array on the device, float32."""
+        return wp.array(np.ascontiguousarray(a, dtype=np.float32), dtype=wp.vec3, device=self.device)
+
+    def integers(self, a: np.ndarray) -> wp.array:
+        return wp.array(np.ascontiguousarray(a, dtype=np.int32), dtype=wp.int32, device=self.device)
+
+    def numbers(self, a: np.ndarray) -> wp.array:
+        return wp.array(np.ascontiguousarray(a, dtype=np.float32), dtype=wp.float32, device=self.device)
+
+
+def _first(sizes: np.ndarray) -> np.ndarray:
+    """Where each of the runs of these sizes begins, and where the last ends."""
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(int)

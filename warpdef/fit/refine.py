@@ -1,0 +1,172 @@
+"""The vertex stage: what the grids cannot express, fitted on the mesh itself (beyond the paper).
+
+The finest grid has a node every tenth of the cube; wrinkles are smaller. After the grids every vertex of every frame
+moves on its own, by Gauss-Newton on
+
+    E = sum_t sum_pairs w r^2 + rigidity sum_t sum_(i,j) | (x_i - x_j) - (R_i + R_j)/2 (y_i - y_j) |^2
+
+with symmetric point-to-plane residuals r both ways, a rotation R a vertex and frame, and one rest shape y for all
+frames. y is an unknown like the others: what one frame's points leave open, the points of all others fill in. The
+noisier the clouds (measured by how thick they are locally), the stiffer, and the less their own normals count.
+
+A round is three phases: every frame pairs, solves for its moves and fits its rotations; every vertex asks all frames
+for its edges; the shape is solved for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import warp as wp
+
+from warpdef.config import RefineConfig
+from warpdef.fit.objective import Objective, spans
+from warpdef.fit.sobolev import SolveReport, note_solve
+from warpdef.fit.workers import Iteration, Phase, Team
+from warpdef.kernels.block_cg import BlockSolver
+from warpdef.kernels.cg import ConjugateGradients
+from warpdef.kernels.graphs import mesh_graph
+from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
+from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
+from warpdef.kernels.schedule import add_scaled, blend, copy_vectors
+
+_SHAPE_TOLERANCE = 1e-4
+_SHAPE_ITERATIONS = 200
+_NOISE_MAX = 1.25  # rigidity grows no further
+
+
+def _noise(thickness: float, config: RefineConfig) -> float:
+    """0 for clean clouds, 1 at ``noisy_thickness``, at most 1.25."""
+    above = (thickness - config.clean_thickness) / (config.noisy_thickness - config.clean_thickness)
+    return float(np.clip(above, 0.0, _NOISE_MAX))
+
+
+class Refinement:
+    """Vertices of all frames, refined in place.
+
+    Args:
+        objective: grids fitted; its ``vertices``, shape (T, V), are the start and the result.
+        team: CPU threads. capture: on CUDA, run a round as one graph.
+    """
+
+    def __init__(self, objective: Objective, team: Team, capture: bool = True) -> None:
+        p = self.problem = objective.problem
+        self.objective, self.config = objective, p.config.refine
+        self.done = 0
+        device, frames, count = p.device, p.frame_count, p.vertex_count
+        self._row, self._column = p.integers(p.mesh.row), p.integers(p.mesh.column)
+        self._lay_faces()
+        self._normals = wp.zeros((frames, count), dtype=wp.vec3, device=device)
+        self._rotation = wp.zeros((frames, count), dtype=wp.mat33, device=device)
+        self._matrix = wp.zeros((frames, count), dtype=wp.mat33, device=device)
+        # The adjoints of the grid stage are done with; their memory serves again.
+        self._pull, self._move = objective.adj_chamfer, objective.adj_isometry
+        self._rest = wp.clone(objective.vertices[p.transitions.keyframe])
+        self._shape_pull, self._shape = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
+        c = self.config
+        self._solver = BlockSolver(p.mesh, frames, c.tolerance, c.iterations_max, device)
+        edges = np.stack([np.repeat(np.arange(count), np.diff(p.mesh.row)), p.mesh.column], axis=1)
+        once = edges[edges[:, 0] < edges[:, 1]]
+        stiff = mesh_graph(once, count, c.shape_smoothness)
+        self._shape_solver = ConjugateGradients(stiff, wp.vec3, _SHAPE_TOLERANCE, _SHAPE_ITERATIONS, device)
+        self.noise = _noise(p.thickness, c)
+        self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
+        share = max(1.0 - self.noise, 0.0)
+        self._pairing = (c.agreement * share, share, p.numbers(c.reach * p.spacing))
+        self.solves = SolveReport("block cg")
+        self._round = Iteration(self._phases(), device, team, capture)
+
+    def _lay_faces(self) -> None:
+        p = self.problem
+        corner = np.argsort(p.faces.ravel(), kind="stable")
+        counts = np.bincount(p.faces.ravel(), minlength=p.vertex_count)
+        self._faces = wp.array(p.faces, dtype=wp.int32, ndim=2, device=p.device)
+        self._face_row = p.integers(np.concatenate([[0], np.cumsum(counts)]))
+        self._face_of = p.integers(corner // 3)
+
+    def prepare(self) -> None:
+        """CPU: record all commands, which compiles what they need."""
+        if self.problem.device.is_cpu:
+            self._round.prepare()
+
+    def start(self) -> None:
+        """Take the vertices as they are: the shape is the keyframe's, normals of unknown side get the mesh's side."""
+        p, o = self.problem, self.objective
+        copy_vectors(o.vertices[p.transitions.keyframe], self._rest)
+        copy_vectors(self._rest, self._shape)
+        everything = p.frame_count * p.vertex_count
+        fit_rotations(0, everything, self._row, self._column, self._rest, o.vertices, self._rotation)
+        vertex_normals(0, everything, self._faces, self._face_row, self._face_of, o.vertices, self._normals)
+        o.vertex_grid.build()
+        o.cloud_to_vertex.run()
+        if not p.oriented.all():
+            self._choose_sides()
+
+    def _choose_sides(self) -> None:
+        p = self.problem
+        normals = p.normals.numpy()
+        facing = self._normals.numpy().reshape(-1, 3)[self.objective.cloud_to_vertex.index.numpy()]
+        turn = ((normals * facing).sum(axis=1) < 0) & ~np.repeat(p.oriented, p.cloud_sizes)
+        normals[turn] *= -1.0
+        p.normals.assign(normals)
+
+    def step(self) -> None:
+        """One round."""
+        self._round.run()
+        self.done += 1
+
+    def look(self) -> None:
+        """Note what the linear solves of the last round did, in ``solves``. Waits for the device."""
+        for solver, tolerance in ((self._solver, self.config.tolerance), (self._shape_solver, _SHAPE_TOLERANCE)):
+            note_solve(self.solves, int(solver.iterations.numpy().max()), solver.residual.numpy(), tolerance)
+
+    def as_dict(self) -> dict:
+        """Plain values for ``report.json``."""
+        thickness = self.problem.thickness
+        return {"rounds": self.done, "thickness": thickness, "noise": self.noise, "rigidity": self.rigidity}
+
+    # Tasks.
+
+    def _fit_frames(self, first: int, last: int) -> None:
+        p, o, c = self.problem, self.objective, self.config
+        begin, count = first * p.vertex_count, (last - first) * p.vertex_count
+        met_begin = int(p.cloud_first[first])
+        met_count = int(p.cloud_first[last]) - met_begin
+        mesh = (self._row, self._column)
+        vertex_normals(begin, count, self._faces, self._face_row, self._face_of, o.vertices, self._normals)
+        o.vertex_grid.build(first, last)
+        o.vertex_to_cloud.run(begin, count)
+        o.cloud_to_vertex.run(met_begin, met_count)
+
+        flat, normals = o.vertices.flatten(), self._normals.flatten()
+        sums = (p.cloud, p.normals, self._matrix.flatten(), self._pull.flatten())
+        vertex_planes(begin, count, self._pairing, flat, normals, p.vertex_frame, o.vertex_to_cloud.index, *sums)
+        cloud_planes(met_begin, met_count, self._pairing, flat, normals, p.cloud_frame, o.cloud_to_vertex.index, *sums)
+        rigid_pull(begin, count, self.rigidity, *mesh, self._rest, self._rotation, o.vertices, self._pull)
+        self._solver.solve(first, last, self.rigidity, c.damping, self._matrix, self._pull, self._move)
+        add_scaled(begin, count, 1.0, self._move.flatten(), flat)
+        fit_rotations(begin, count, *mesh, self._rest, o.vertices, self._rotation)
+
+    def _ask_frames(self, begin: int, count: int) -> None:
+        rest_pull(begin, count, self._row, self._column, self._rotation, self.objective.vertices, self._shape_pull)
+
+    def _fit_shape(self) -> None:
+        """(I + s L) y = y_old + s pull: the optimum L y = pull, at the cost of s^-1 of staying."""
+        p, c = self.problem, self.config
+        copy_vectors(self._rest, self._shape)
+        add_scaled(0, p.vertex_count, c.shape_smoothness, self._shape_pull, self._shape)
+        self._shape_solver.solve(self._shape, self._shape_pull, 0, 1)
+        blend(c.shape_step, self._shape_pull, self._rest)
+
+    def _phases(self) -> list[Phase]:
+        p, cpu = self.problem, self.problem.device.is_cpu
+        frames = spans(p.frame_count, 1 if cpu else None)
+        runs = spans(p.vertex_count, 1024 if cpu else None)
+        phases: list[tuple[str, list[Callable[[], None]]]] = [
+            ("frames", [partial(self._fit_frames, a, b) for a, b in frames]),
+            ("edges", [partial(self._ask_frames, a, b - a) for a, b in runs]),
+            ("shape", [self._fit_shape]),
+        ]
+        return [Phase(name, tasks) for name, tasks in phases]

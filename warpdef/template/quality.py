@@ -1,0 +1,114 @@
+"""The quality gate: may this mesh carry a whole sequence?"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from warpdef.config import TemplateConfig
+from warpdef.mesh import TriMesh
+from warpdef.template import topology
+
+SAMPLES = 20_000
+
+
+@dataclass(frozen=True)
+class GateReport:
+    """What the gate measured, and what it holds against the mesh.
+
+    vertices, faces: their numbers
+    watertight:      each edge in exactly two faces, turned opposite ways
+    volume:          signed, in the points' units cubed; above 0 when the faces look outwards
+    components:      pieces that share no vertex
+    euler:           V - E + F; 2 for a sphere, 2 less for every handle; reported, not judged
+    quality:         mean of 4 sqrt(3) area / sum of squared edges, 1 for equilateral triangles; reported, not judged
+    spacing:         mean distance of a point to its nearest neighbour, the points' units
+    far_share:       share of the surface further than ``far_spacings`` spacings from every point
+    missed_share:    share of the points further than that from the surface
+    failures:        one clause each; empty when the mesh passes
+    score:           0 is best: both shares, plus 1 for every failure of the topology
+    """
+
+    vertices: int
+    faces: int
+    watertight: bool
+    volume: float
+    components: int
+    euler: int
+    quality: float
+    spacing: float
+    far_share: float
+    missed_share: float
+    failures: tuple[str, ...]
+    score: float
+
+    @property
+    def passed(self) -> bool:
+        return not self.failures
+
+    def as_dict(self) -> dict:
+        """Plain numbers for ``report.json``."""
+        return {**asdict(self), "failures": list(self.failures), "passed": self.passed}
+
+
+def judge(mesh: TriMesh, points: np.ndarray, config: TemplateConfig, seed: int) -> GateReport:
+    """Measure a template against the cloud that it was built on.
+
+    Args:
+        mesh: the template.
+        points: its keyframe, shape (N, 3), the mesh's units.
+        config: the gate's thresholds.
+        seed: of the surface samples.
+    """
+    watertight = topology.is_watertight(mesh.faces)
+    volume = topology.signed_volume(mesh.vertices, mesh.faces)
+    components = int(topology.face_components(mesh.faces).max()) + 1
+    spacing, far_share, missed_share = far_shares(mesh, points, config.far_spacings, seed)
+
+    broken = []
+    if not watertight:
+        broken.append("it is not watertight")
+    if not volume > 0:
+        broken.append("it is inside out or flat (its signed volume is not above 0)")
+    if components > 1:
+        broken.append(f"it has {components} pieces")
+    off = []
+    if far_share > config.far_share_max:
+        off.append(f"{far_share:.0%} of its surface is far from every point")
+    if missed_share > config.missed_share_max:
+        off.append(f"{missed_share:.0%} of the points are far from its surface")
+    return GateReport(
+        vertices=len(mesh.vertices),
+        faces=len(mesh.faces),
+        watertight=watertight,
+        volume=volume,
+        components=components,
+        euler=topology.euler_number(mesh.faces),
+        quality=topology.triangle_quality(mesh.vertices, mesh.faces),
+        spacing=spacing,
+        far_share=far_share,
+        missed_share=missed_share,
+        failures=tuple(broken + off),
+        score=float(len(broken) + far_share + missed_share),
+    )
+
+
+def far_shares(mesh: TriMesh, points: np.ndarray, far_spacings: float, seed: int) -> tuple[float, float, float]:
+    """Mean point spacing, share of the surface far from every point, and share of points far from the surface.
+
+    By ``SAMPLES`` area-uniform samples; a surface without area is far everywhere.
+    """
+    from scipy.spatial import cKDTree
+
+    from warpdef.truth.sample import sample_surface
+
+    tree = cKDTree(points)
+    spacing = float(tree.query(points, k=2)[0][:, 1].mean())
+    if not topology.face_areas(mesh.vertices, mesh.faces).sum() > 0:
+        return spacing, 1.0, 1.0
+    samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, np.random.default_rng(seed))[0]
+    far = tree.query(samples)[0] > far_spacings * spacing
+    on_surface = cKDTree(np.concatenate([samples, mesh.vertices]))
+    missed = on_surface.query(points)[0] > far_spacings * spacing
+    return spacing, float(far.mean()), float(missed.mean())
