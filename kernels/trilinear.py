@@ -18,6 +18,8 @@ from warpdef.kernels.levels import node8
 
 wp.set_module_options(MODULE_OPTIONS)
 
+LEVELS_MAX = 16  # as many as the configuration allows
+
 sample_jacobian = wp.types.matrix(shape=(4, 8), dtype=wp.float32)
 
 # One register of eight floats: a vector extension on the CPU, two 16-byte halves on CUDA.
@@ -46,6 +48,11 @@ _REGISTER = """
     #define ZERO reg(0.0f)
 #else
     typedef float reg __attribute__((vector_size(32), aligned(4)));
+    typedef float two __attribute__((vector_size(64), aligned(4)));
+    #define LOAD_TWO(q) (*(const two*)(q))
+    #define LOW(w) __builtin_shufflevector(w, w, 0, 1, 2, 3, 4, 5, 6, 7)
+    #define HIGH(w) __builtin_shufflevector(w, w, 8, 9, 10, 11, 12, 13, 14, 15)
+    #define JOIN(a, b) __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
     #define LOAD(q) (*(const reg*)(q))
     #define UNPACK(v) LOAD((const float*)&(v))
     #define STORE(q, r) (*(reg*)(q) = (r))
@@ -54,9 +61,42 @@ _REGISTER = """
 #endif
 """
 
-# The cell of level l that holds (px, py, pz): base pointer q, strides sx sy sz in floats, fractions fx fy fz.
-# A comparison that NaN fails sends NaN to the border, so that no index ever leaves the level.
+# The cells that hold (px, py, pz): base node, strides in floats, fractions, half the nodes an axis, and whether an axis
+# is free (not clamped). A comparison that NaN fails sends NaN to the border, so that no index ever leaves the level.
+# On the CPU that is a loop of its own, which the compiler turns into SIMD over the levels: nearly half the time of a
+# sample (measured).
+_CELLS = """
+#if !defined(__CUDA_ARCH__)
+    int node_of[MOST], nodes_of[MOST];
+    float fraction[3][MOST], slope[3][MOST];
+    for (int l = 0; l < level_count; ++l) {
+        const int n = levels.data[2 * l];
+        const float top = (float)(n - 1), half = 0.5f * top;
+        const float gx = (px + 1.0f) * half, gy = (py + 1.0f) * half, gz = (pz + 1.0f) * half;
+        const float ux = gx > 0.0f ? (gx < top ? gx : top) : 0.0f;
+        const float uy = gy > 0.0f ? (gy < top ? gy : top) : 0.0f;
+        const float uz = gz > 0.0f ? (gz < top ? gz : top) : 0.0f;
+        const int last = n > 1 ? n - 2 : 0;
+        int ix = (int)ux, iy = (int)uy, iz = (int)uz;
+        ix = ix < last ? ix : last; iy = iy < last ? iy : last; iz = iz < last ? iz : last;
+        fraction[0][l] = ux - (float)ix; fraction[1][l] = uy - (float)iy; fraction[2][l] = uz - (float)iz;
+        // A clamped axis does not move the sample.
+        slope[0][l] = (gx >= 0.0f && gx <= top) ? half : 0.0f;
+        slope[1][l] = (gy >= 0.0f && gy <= top) ? half : 0.0f;
+        slope[2][l] = (gz >= 0.0f && gz <= top) ? half : 0.0f;
+        nodes_of[l] = n;
+        node_of[l] = levels.data[2 * l + 1] + ((ix * n + iy) * n + iz);
+    }
+#endif
+""".replace("MOST", str(LEVELS_MAX))
+
 _CELL = """
+    #if !defined(__CUDA_ARCH__)
+        const int n = nodes_of[l], step = n > 1 ? 8 : 0;
+        const int sx = step * n * n, sy = step * n, sz = step;
+        const float fx = fraction[0][l], fy = fraction[1][l], fz = fraction[2][l];
+        const size_t node = (size_t)node_of[l];
+    #else
         const int n = levels.data[2 * l];
         const float top = (float)(n - 1), half = 0.5f * top;
         const float gx = (px + 1.0f) * half, gy = (py + 1.0f) * half, gz = (pz + 1.0f) * half;
@@ -69,6 +109,7 @@ _CELL = """
         const float fx = ux - (float)ix, fy = uy - (float)iy, fz = uz - (float)iz;
         const int sx = step * n * n, sy = step * n, sz = step;
         const size_t node = (size_t)levels.data[2 * l + 1] + (size_t)((ix * n + iy) * n + iz);
+    #endif
 """
 
 _VALUE = (
@@ -76,17 +117,29 @@ _VALUE = (
     + """
     const float* base = (const float*)nodes.data + (size_t)transition * nodes.shape[1] * 8;
     reg sum = ZERO;
+"""
+    + _CELLS
+    + """
     for (int l = 0; l < level_count; ++l) {
 """
     + _CELL
     + """
         const float* q = base + 8 * node;
+    #if !defined(__CUDA_ARCH__)
+        // A node and the next along z are one register; they part last.
+        if (n == 1) { sum = sum + LOAD(q); continue; }
+        const two c00 = LOAD_TWO(q), c01 = LOAD_TWO(q + sy), c10 = LOAD_TWO(q + sx), c11 = LOAD_TWO(q + sx + sy);
+        const two y0 = c00 + (c01 - c00) * fy, y1 = c10 + (c11 - c10) * fy;
+        const two w = y0 + (y1 - y0) * fx;
+        sum = sum + LOW(w) + (HIGH(w) - LOW(w)) * fz;
+    #else
         const reg a00 = LOAD(q) + (LOAD(q + sz) - LOAD(q)) * fz;
         const reg a01 = LOAD(q + sy) + (LOAD(q + sy + sz) - LOAD(q + sy)) * fz;
         const reg a10 = LOAD(q + sx) + (LOAD(q + sx + sz) - LOAD(q + sx)) * fz;
         const reg a11 = LOAD(q + sx + sy) + (LOAD(q + sx + sy + sz) - LOAD(q + sx + sy)) * fz;
         const reg b0 = a00 + (a01 - a00) * fy, b1 = a10 + (a11 - a10) * fy;
         sum = sum + b0 + (b1 - b0) * fx;
+    #endif
     }
     sum = sum * (1.0f / (float)level_count);
     wp::vec_t<8, wp::float32> result;
@@ -100,15 +153,34 @@ _VALUE_AND_DERIVATIVE = (
     + """
     const float* base = (const float*)nodes.data + (size_t)transition * nodes.shape[1] * 8;
     reg sum = ZERO, dx = ZERO, dy = ZERO, dz = ZERO;
+"""
+    + _CELLS
+    + """
     for (int l = 0; l < level_count; ++l) {
 """
     + _CELL
     + """
+    #if !defined(__CUDA_ARCH__)
+        const float hx = slope[0][l], hy = slope[1][l], hz = slope[2][l];
+    #else
         // A clamped axis does not move the sample.
         const float hx = (gx >= 0.0f && gx <= top) ? half : 0.0f;
         const float hy = (gy >= 0.0f && gy <= top) ? half : 0.0f;
         const float hz = (gz >= 0.0f && gz <= top) ? half : 0.0f;
+    #endif
         const float* q = base + 8 * node;
+    #if !defined(__CUDA_ARCH__)
+        if (n == 1) { sum = sum + LOAD(q); continue; }
+        const two c00 = LOAD_TWO(q), c01 = LOAD_TWO(q + sy), c10 = LOAD_TWO(q + sx), c11 = LOAD_TWO(q + sx + sy);
+        const two d0 = c01 - c00, d1 = c11 - c10;
+        const two y0 = c00 + d0 * fy, y1 = c10 + d1 * fy;
+        const two ex = y1 - y0, ey = d0 + (d1 - d0) * fx, w = y0 + ex * fx;
+        const reg ez = HIGH(w) - LOW(w);
+        sum = sum + LOW(w) + ez * fz;
+        dx = dx + (LOW(ex) + (HIGH(ex) - LOW(ex)) * fz) * hx;
+        dy = dy + (LOW(ey) + (HIGH(ey) - LOW(ey)) * fz) * hy;
+        dz = dz + ez * hz;
+    #else
         const reg c000 = LOAD(q), c010 = LOAD(q + sy), c100 = LOAD(q + sx), c110 = LOAD(q + sx + sy);
         const reg z00 = LOAD(q + sz) - c000, z01 = LOAD(q + sy + sz) - c010;
         const reg z10 = LOAD(q + sx + sz) - c100, z11 = LOAD(q + sx + sy + sz) - c110;
@@ -120,6 +192,7 @@ _VALUE_AND_DERIVATIVE = (
         dx = dx + (b1 - b0) * hx;
         dy = dy + (y0 + (y1 - y0) * fx) * hy;
         dz = dz + (z0 + (z1 - z0) * fx) * hz;
+    #endif
     }
     const float share = 1.0f / (float)level_count;
     wp::mat_t<4, 8, wp::float32> result;
@@ -135,11 +208,22 @@ _SCATTER = (
     float* base = (float*)adj_nodes.data + (size_t)transition * adj_nodes.shape[1] * 8;
     const float share = 1.0f / (float)level_count;
     const reg g = UNPACK(adj_value) * share;  // a local value need not be aligned as nodes are
+"""
+    + _CELLS
+    + """
     for (int l = 0; l < level_count; ++l) {
 """
     + _CELL
     + """
         float* q = base + 8 * node;
+    #if !defined(__CUDA_ARCH__)
+        if (n == 1) { ADD(q, g); continue; }
+        const reg gz = g * fz;
+        const two h = JOIN(g - gz, gz);
+        const two h1 = h * fx, h0 = h - h1, h01 = h0 * fy, h11 = h1 * fy;
+        *(two*)q += h0 - h01; *(two*)(q + sy) += h01;
+        *(two*)(q + sx) += h1 - h11; *(two*)(q + sx + sy) += h11;
+    #else
         const reg g1 = g * fx, g0 = g - g1;
         const reg g01 = g0 * fy, g00 = g0 - g01, g11 = g1 * fy, g10 = g1 - g11;
         const reg h00 = g00 * fz, h01 = g01 * fz, h10 = g10 * fz, h11 = g11 * fz;
@@ -147,6 +231,7 @@ _SCATTER = (
         ADD(q + sy, g01 - h01); ADD(q + sy + sz, h01);
         ADD(q + sx, g10 - h10); ADD(q + sx + sz, h10);
         ADD(q + sx + sy, g11 - h11); ADD(q + sx + sy + sz, h11);
+    #endif
     }
 """
 )
