@@ -14,6 +14,7 @@ import synthetic
 import warpdef
 from warpdef.config import Config, preset
 from warpdef.errors import DeviceError, InputError
+from warpdef.files import write_ply
 from warpdef.files.json_text import json_text
 from warpdef.mesh import TriMesh
 from warpdef.sequence import PointSequence
@@ -79,9 +80,16 @@ def test_units_and_place_are_the_inputs(truth, clouds, template, device: str) ->
 
 
 def test_a_template_keeps_its_vertex_order(clouds, template, device: str) -> None:
-    result = warpdef.reconstruct(clouds, quick(0 + 1, 0), device=device, template=template)
+    result = warpdef.reconstruct(clouds, quick(1, 0), device=device, template=template)
     np.testing.assert_array_equal(result.faces, template.faces)
     np.testing.assert_allclose(result.vertices[1], template.vertices, rtol=0, atol=1e-3)
+
+
+def test_the_configuration_names_a_template(clouds, template, device: str, tmp_path) -> None:
+    write_ply(tmp_path / "mine.ply", template.vertices, template.faces)
+    config = replace(quick(1, 0), template=replace(Config().template, mesh=str(tmp_path / "mine.ply")))
+    result = warpdef.reconstruct(clouds, config, device=device)
+    np.testing.assert_array_equal(result.faces, template.faces)
 
 
 def test_the_same_bits_for_any_number_of_threads(clouds, template) -> None:

@@ -244,7 +244,7 @@ class RefineConfig:
     """Step of the common shape towards its optimum in a round; above 1 overshoots, which converges faster."""
     tolerance: float = 1e-3
     """Residual, relative to the right-hand side, at which a frame's linear solve stops."""
-    iterations_max: int = 100
+    iterations_max: int = 300
     """Steps after which a frame's linear solve stops all the same."""
 
     def __post_init__(self) -> None:

@@ -11,6 +11,7 @@ import math
 import platform
 from collections.abc import Sequence
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import warp as wp
@@ -18,6 +19,7 @@ import warp as wp
 import warpdef
 from warpdef.config import Config, parse_slice
 from warpdef.errors import WarpdefError
+from warpdef.files import read_mesh
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
 from warpdef.fit.refine import Refinement
@@ -48,7 +50,8 @@ def reconstruct(
         config: every number of the method; the default preset if not given.
         device: ``auto``, ``cpu`` or ``cuda:N``.
         threads: CPU threads; all cores of this process if not given. The result does not depend on it.
-        template: a mesh of your own for the keyframe, input units; its vertex order is kept.
+        template: a mesh of your own for the keyframe, input units, its vertex order kept; if not given, the file
+            ``config.template.mesh``; if that is empty, a mesh is reconstructed.
         callback: called with a ``Progress`` now and then. Ctrl-C during the optimisation ends it early: the best
             state so far is returned, with ``report["interrupted"]`` true.
 
@@ -65,6 +68,9 @@ def reconstruct(
     sequence = sequence.select(parse_slice(config.frames))
     if config.points:
         sequence = sequence.subsample(config.points, config.seed)
+
+    if template is None and config.template.mesh:
+        template = read_mesh(Path(config.template.mesh))
 
     # Implementation Details: the whole sequence is normalised into the cube by one similarity.
     into = Similarity.into_cube(sequence.points, config.fill)
