@@ -148,10 +148,11 @@ def load_content(
     if side_by_side:
         if points is None and true_meshes is None and compare is None:
             raise InputError("--side-by-side: expected something to show beside; give --input, --truth or --compare")
+        if true_meshes is not None:
+            # Coloured at the same frame as the reconstruction, so that the colours of both can be compared.
+            panes.append(Pane("truth", meshes=true_meshes, keyframe=panes[0].keyframe))
         if points is not None:
             panes.insert(0, Pane("input", clouds=points))
-        if true_meshes is not None:
-            panes.append(Pane("truth", meshes=true_meshes))
     names = tuple(run.names[t] for t in chosen)
     return Content(panes, names, up, unit)
 

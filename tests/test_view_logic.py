@@ -216,6 +216,7 @@ def test_a_demo_brings_its_own_clouds_and_truth(tmp_path):
     save_truth(out / "truth.npz")
     content = load_content(out, side_by_side=True, frames=slice(1, None, 2))
     assert [pane.title for pane in content.panes] == ["input", "reconstruction", "truth"]
+    assert [pane.keyframe for pane in load_content(out, side_by_side=True).panes[1:]] == [2, 2]
     assert content.names == ("scan1.ply", "scan3.ply") and content.measures == ["error", "stretch", "displacement"]
     np.testing.assert_array_equal(content.panes[1].meshes.vertices, VERTICES[1::2])
     np.testing.assert_array_equal(content.panes[2].meshes.vertices, BAR.vertices[1::2])
