@@ -9,7 +9,8 @@ import numpy as np
 import warp as wp
 
 from warpdef.apps.bench_bed import Bed, Case, Peer, run_tasks
-from warpdef.kernels.neighbours import NearestSearch, PointGrid
+from warpdef.kernels.cells import PointGrid
+from warpdef.kernels.neighbours import NearestSearch
 
 _POINT, _INDEX = 12, 4  # bytes
 

@@ -1,6 +1,7 @@
 """Warp kernels of the method, each with its hand-written adjoint. Imports only Warp and NumPy.
 
-A room a file: `levels` (node layout), `trilinear` (sampling), `cayley` (rigid motion), `motion` (moving points and
-vertices), `neighbours` (exact nearest neighbours), `chamfer`, `isometry`, `confidence`, `graphs` and `cg` and `cosine`
-(Sobolev solves), `adam`, and `launching` (how a launch runs or is recorded).
+A room a file. Motion: `levels` (node layout), `trilinear` (sampling), `cayley` (rotations), `motion` (moving points
+and vertices). Terms: `cells` and `neighbours` (exact nearest neighbours), `chamfer`, `isometry`. Descent: `graphs`, `cg`
+and `cosine` (Sobolev solves), `adam`, `schedule` (what changes with the iteration). Vertex stage: `planes`, `rigidity`,
+`block_cg`. And `launching`: how a launch runs or is recorded.
 """

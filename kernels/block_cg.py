@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpdef.kernels.cg import ratio
+from warpdef.kernels.cg_kernels import ratio
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 

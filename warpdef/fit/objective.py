@@ -22,11 +22,12 @@ import warp as wp
 
 from warpdef.fit.problem import Problem
 from warpdef.fit.workers import Phase
+from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.chamfer import fixed_to_moving, moving_to_fixed
 from warpdef.kernels.isometry import isometry
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_points, move_vertices, scatter_vertices
-from warpdef.kernels.neighbours import NearestSearch, PointGrid
+from warpdef.kernels.neighbours import NearestSearch
 from warpdef.kernels.schedule import clear_losses, clear_vectors, confidence
 
 _VERTICES_PER_TASK = 1024

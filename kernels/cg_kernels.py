@@ -1,0 +1,305 @@
+"""The kernels of conjugate gradients on a graph, for one component count at a time.
+
+``cg.py`` says what they compute. No postponed annotations here: the kernels' types are variables of the factory.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from warpdef.kernels.launching import MODULE_OPTIONS
+
+wp.set_module_options(MODULE_OPTIONS)
+
+
+@wp.func
+def ratio(a: float, b: float) -> float:
+    """a / b, and 0 where b is 0: a component that is solved exactly stands still. NaN stays NaN."""
+    q = float(0.0)
+    if b != 0.0:
+        q = a / b
+    return q
+
+
+@wp.func
+def worst_residual_sq(r_sq: Any, b_sq: Any) -> float:
+    """Largest |r|^2 / |b|^2 of the components; a zero right-hand side asks for a zero residual. NaN wins."""
+    worst = float(0.0)
+    for c in range(len(r_sq)):
+        share = float(0.0)
+        if r_sq[c] != 0.0:
+            share = 1.0
+            if b_sq[c] != 0.0:
+                share = r_sq[c] / b_sq[c]
+        if worst == worst and not (share <= worst):
+            worst = share
+    return worst
+
+
+def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
+    """The kernels for one component count."""
+
+    @wp.func
+    def apply_row(
+        i: int,
+        weight: float,
+        row: wp.array(dtype=wp.int32),
+        column: wp.array(dtype=wp.int32),
+        x: wp.array(dtype=dtype),
+    ) -> dtype:
+        """Row i of (I + lambda (D - A)) x."""
+        begin = row[i]
+        end = row[i + 1]
+        total = (1.0 + weight * float(end - begin)) * x[i]
+        for k in range(begin, end):
+            total -= weight * x[column[k]]
+        return total
+
+    @wp.func
+    def ratios(a: dtype, b: dtype) -> dtype:
+        q = dtype()
+        for c in range(len(a)):
+            q[c] = ratio(a[c], b[c])
+        return q
+
+    @wp.func
+    def asked(b_sq: dtype) -> dtype:
+        """1 for components with a right-hand side, 0 for the others, whose solution is 0 whatever the start was."""
+        one = dtype()
+        for c in range(len(b_sq)):
+            if b_sq[c] > 0.0:
+                one[c] = 1.0
+        return one
+
+    @wp.kernel(module="unique")
+    def solve_systems(
+        # In:
+        first_system: int,
+        node: wp.array(dtype=wp.int32),
+        first: wp.array(dtype=wp.int32),
+        row: wp.array(dtype=wp.int32),
+        column: wp.array(dtype=wp.int32),
+        weight: wp.array(dtype=wp.float32),
+        tolerance: float,
+        iterations_max: int,
+        rhs: wp.array(dtype=dtype),
+        # In as the last solution; out, compact:
+        x: wp.array(dtype=dtype),
+        # Scratch, compact:
+        r: wp.array(dtype=dtype),
+        p: wp.array(dtype=dtype),
+        ap: wp.array(dtype=dtype),
+        # Out:
+        solution_out: wp.array(dtype=dtype),
+        iterations_out: wp.array(dtype=wp.int32),
+        residual_out: wp.array(dtype=wp.float32),
+    ):
+        """CPU: one thread a system."""
+        s = first_system + wp.tid()
+        begin = first[s]
+        end = first[s + 1]
+        w = weight[s]
+        r_sq = dtype()
+        b_sq = dtype()
+        for i in range(begin, end):
+            b = rhs[node[i]]
+            residual = b - apply_row(i, w, row, column, x)
+            r[i] = residual
+            p[i] = residual
+            r_sq += wp.cw_mul(residual, residual)
+            b_sq += wp.cw_mul(b, b)
+        keep = asked(b_sq)
+        if worst_residual_sq(r_sq - wp.cw_mul(keep, r_sq), b_sq) > 0.0:
+            r_sq = wp.cw_mul(keep, r_sq)
+            for i in range(begin, end):
+                x[i] = wp.cw_mul(keep, x[i])
+                r[i] = wp.cw_mul(keep, r[i])
+                p[i] = r[i]
+        done = int(0)
+        while done < iterations_max and worst_residual_sq(r_sq, b_sq) > tolerance * tolerance:
+            p_ap = dtype()
+            for i in range(begin, end):
+                v = apply_row(i, w, row, column, p)
+                ap[i] = v
+                p_ap += wp.cw_mul(p[i], v)
+            alpha = ratios(r_sq, p_ap)
+            next_sq = dtype()
+            for i in range(begin, end):
+                x[i] = x[i] + wp.cw_mul(alpha, p[i])
+                v = r[i] - wp.cw_mul(alpha, ap[i])
+                r[i] = v
+                next_sq += wp.cw_mul(v, v)
+            beta = ratios(next_sq, r_sq)
+            for i in range(begin, end):
+                p[i] = r[i] + wp.cw_mul(beta, p[i])
+            r_sq = next_sq
+            done = done + 1
+        for i in range(begin, end):
+            solution_out[node[i]] = x[i]
+        iterations_out[s] = done
+        residual_out[s] = wp.sqrt(worst_residual_sq(r_sq, b_sq))
+
+    @wp.kernel(module="unique")
+    def start(
+        node: wp.array(dtype=wp.int32),
+        system: wp.array(dtype=wp.int32),
+        row: wp.array(dtype=wp.int32),
+        column: wp.array(dtype=wp.int32),
+        weight: wp.array(dtype=wp.float32),
+        rhs: wp.array(dtype=dtype),
+        x: wp.array(dtype=dtype),
+        r_out: wp.array(dtype=dtype),
+        p_out: wp.array(dtype=dtype),
+        b_sq_out: wp.array(dtype=dtype),
+        r_sq_out: wp.array2d(dtype=dtype),
+    ):
+        """One thread a node."""
+        i = wp.tid()
+        s = system[i]
+        b = rhs[node[i]]
+        residual = b - apply_row(i, weight[s], row, column, x)
+        r_out[i] = residual
+        p_out[i] = residual
+        wp.atomic_add(b_sq_out, s, wp.cw_mul(b, b))
+        wp.atomic_add(r_sq_out, 0, s, wp.cw_mul(residual, residual))
+
+    @wp.kernel(module="unique")
+    def settle(
+        system: wp.array(dtype=wp.int32),
+        first: wp.array(dtype=wp.int32),
+        b_sq: wp.array(dtype=dtype),
+        x: wp.array(dtype=dtype),
+        r: wp.array(dtype=dtype),
+        p: wp.array(dtype=dtype),
+        r_sq: wp.array2d(dtype=dtype),
+    ):
+        """One thread a node: components that nothing is asked of are 0 and done."""
+        i = wp.tid()
+        s = system[i]
+        keep = asked(b_sq[s])
+        x[i] = wp.cw_mul(keep, x[i])
+        r[i] = wp.cw_mul(keep, r[i])
+        p[i] = wp.cw_mul(keep, p[i])
+        if i == first[s]:
+            r_sq[0, s] = wp.cw_mul(keep, r_sq[0, s])
+
+    @wp.kernel(module="unique")
+    def multiply(
+        step: int,
+        tolerance: float,
+        system: wp.array(dtype=wp.int32),
+        row: wp.array(dtype=wp.int32),
+        column: wp.array(dtype=wp.int32),
+        weight: wp.array(dtype=wp.float32),
+        b_sq: wp.array(dtype=dtype),
+        r_sq: wp.array2d(dtype=dtype),
+        p: wp.array(dtype=dtype),
+        ap_out: wp.array(dtype=dtype),
+        p_ap_out: wp.array2d(dtype=dtype),
+    ):
+        """One thread a node: A p and its part of p . A p."""
+        i = wp.tid()
+        s = system[i]
+        if worst_residual_sq(r_sq[step, s], b_sq[s]) > tolerance * tolerance:
+            v = apply_row(i, weight[s], row, column, p)
+            ap_out[i] = v
+            wp.atomic_add(p_ap_out, step, s, wp.cw_mul(p[i], v))
+
+    @wp.kernel(module="unique")
+    def update(
+        step: int,
+        tolerance: float,
+        system: wp.array(dtype=wp.int32),
+        first: wp.array(dtype=wp.int32),
+        b_sq: wp.array(dtype=dtype),
+        p_ap: wp.array2d(dtype=dtype),
+        p: wp.array(dtype=dtype),
+        ap: wp.array(dtype=dtype),
+        x: wp.array(dtype=dtype),
+        r: wp.array(dtype=dtype),
+        r_sq: wp.array2d(dtype=dtype),
+    ):
+        """One thread a node: step along p, new residual and its part of the norm."""
+        i = wp.tid()
+        s = system[i]
+        if worst_residual_sq(r_sq[step, s], b_sq[s]) > tolerance * tolerance:
+            alpha = ratios(r_sq[step, s], p_ap[step, s])
+            x[i] = x[i] + wp.cw_mul(alpha, p[i])
+            residual = r[i] - wp.cw_mul(alpha, ap[i])
+            r[i] = residual
+            wp.atomic_add(r_sq, step + 1, s, wp.cw_mul(residual, residual))
+        elif i == first[s]:
+            # Copied, not added up anew: another order of the sum must not wake a system that is done.
+            r_sq[step + 1, s] = r_sq[step, s]
+
+    @wp.kernel(module="unique")
+    def turn(
+        step: int,
+        tolerance: float,
+        system: wp.array(dtype=wp.int32),
+        b_sq: wp.array(dtype=dtype),
+        r_sq: wp.array2d(dtype=dtype),
+        r: wp.array(dtype=dtype),
+        p: wp.array(dtype=dtype),
+    ):
+        """One thread a node: the next direction."""
+        i = wp.tid()
+        s = system[i]
+        if worst_residual_sq(r_sq[step, s], b_sq[s]) > tolerance * tolerance:
+            p[i] = r[i] + wp.cw_mul(ratios(r_sq[step + 1, s], r_sq[step, s]), p[i])
+
+    @wp.kernel(module="unique")
+    def finish(node: wp.array(dtype=wp.int32), x: wp.array(dtype=dtype), solution_out: wp.array(dtype=dtype)):
+        """One thread a node."""
+        i = wp.tid()
+        solution_out[node[i]] = x[i]
+
+    @wp.kernel(module="unique")
+    def report(
+        steps: int,
+        tolerance: float,
+        b_sq: wp.array(dtype=dtype),
+        r_sq: wp.array2d(dtype=dtype),
+        iterations_out: wp.array(dtype=wp.int32),
+        residual_out: wp.array(dtype=wp.float32),
+    ):
+        """One thread a system."""
+        s = wp.tid()
+        done = int(0)
+        while done < steps and worst_residual_sq(r_sq[done, s], b_sq[s]) > tolerance * tolerance:
+            done = done + 1
+        iterations_out[s] = done
+        residual_out[s] = wp.sqrt(worst_residual_sq(r_sq[steps, s], b_sq[s]))
+
+    @wp.kernel(module="unique")
+    def clear(array: wp.array(dtype=dtype)):
+        array[wp.tid()] = dtype()
+
+    @wp.kernel(module="unique")
+    def gather(node: wp.array(dtype=wp.int32), full: wp.array(dtype=dtype), compact_out: wp.array(dtype=dtype)):
+        i = wp.tid()
+        compact_out[i] = full[node[i]]
+
+    @wp.kernel(module="unique")
+    def multiply_add(
+        system: wp.array(dtype=wp.int32),
+        row: wp.array(dtype=wp.int32),
+        column: wp.array(dtype=wp.int32),
+        weight: wp.array(dtype=wp.float32),
+        x: wp.array(dtype=dtype),
+        y: wp.array(dtype=dtype),
+        alpha: float,
+        beta: float,
+        z_out: wp.array(dtype=dtype),
+    ):
+        """One thread a node: z = alpha (I + lambda L) x + beta y."""
+        i = wp.tid()
+        z = alpha * apply_row(i, weight[system[i]], row, column, x)
+        if beta != 0.0:
+            z += beta * y[i]
+        z_out[i] = z
+
+    kernels = (solve_systems, start, settle, multiply, update, turn, finish, report, clear, gather, multiply_add)
+    for kernel in kernels:
+        kernel.module.options.update(MODULE_OPTIONS)
+    return {kernel.func.__name__: kernel for kernel in kernels}
