@@ -34,6 +34,7 @@ from warpdef.kernels.schedule import add_scaled, blend, copy_vectors
 
 _SHAPE_TOLERANCE = 1e-4
 _SHAPE_ITERATIONS = 200
+_OPPOSED_MAX = 0.01  # share of given normals against the mesh that is taken for contact, not for flips
 _NOISE_MAX = 1.25  # rigidity grows no further
 
 
@@ -92,7 +93,7 @@ class Refinement:
             self._round.prepare()
 
     def start(self) -> None:
-        """Take the vertices as they are: the shape is the keyframe's, normals of unknown side get the mesh's side."""
+        """Take the vertices as they are: the shape is the keyframe's, normals of doubtful side get the mesh's side."""
         p, o = self.problem, self.objective
         copy_vectors(o.vertices[p.transitions.keyframe], self._rest)
         copy_vectors(self._rest, self._shape)
@@ -101,15 +102,18 @@ class Refinement:
         vertex_normals(0, everything, self._faces, self._face_row, self._face_of, o.vertices, self._normals)
         o.vertex_grid.build()
         o.cloud_to_vertex.run()
-        if not p.oriented.all():
-            self._choose_sides()
+        self._choose_sides()
 
     def _choose_sides(self) -> None:
+        """Turn normals over to the mesh's side, in frames of unknown side and where too many given ones oppose it."""
         p = self.problem
         normals = p.normals.numpy()
         facing = self._normals.numpy().reshape(-1, 3)[self.objective.cloud_to_vertex.index.numpy()]
-        turn = ((normals * facing).sum(axis=1) < 0) & ~np.repeat(p.oriented, p.cloud_sizes)
-        normals[turn] *= -1.0
+        opposed = (normals * facing).sum(axis=1) < 0
+        share = np.add.reduceat(opposed, p.cloud_first[:-1]) / p.cloud_sizes
+        # A few always do: between two surfaces that touch, the nearest vertex may belong to the other one.
+        turned = opposed & np.repeat(~p.oriented | (share > _OPPOSED_MAX), p.cloud_sizes)
+        normals[turned] *= -1.0
         p.normals.assign(normals)
 
     def step(self) -> None:
