@@ -20,7 +20,7 @@ from warpdef.kernels.motion import adj_move_points, scatter_vertices
 
 Answer = np.ndarray | tuple[np.ndarray, ...]
 _SNAPSHOTS = 12
-_VERTICES_PER_TASK = 1024
+VERTICES_PER_TASK = 1024
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class Bed:
     def vertex_tasks(self, call: Callable[[int, int], None]) -> list[Task]:
         """``call(begin, count)`` a range of template vertices."""
         count = self.problem.vertex_count
-        step = _VERTICES_PER_TASK if self.device.is_cpu else count
+        step = VERTICES_PER_TASK if self.device.is_cpu else count
         return [_later(call, a, min(step, count - a)) for a in range(0, count, step)]
 
     def _singles(self, count: int) -> list[tuple[int, int]]:

@@ -30,7 +30,7 @@ from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_poin
 from warpdef.kernels.neighbours import NearestSearch
 from warpdef.kernels.schedule import clear_losses, clear_vectors, confidence
 
-_VERTICES_PER_TASK = 1024
+VERTICES_PER_TASK = 1024
 
 
 class Objective:
@@ -95,8 +95,8 @@ class Objective:
     def _input_term(self, first: int, last: int) -> None:
         """Move the clouds of transitions ``first .. last``, compare, and leave the gradient in their nodes."""
         p = self.problem
-        begin, count = _span(p.moved_first, first, last)
-        met_begin, met_count = _span(p.cloud_first, *p.transitions.targets(first, last))
+        begin, count = span(p.moved_first, first, last)
+        met_begin, met_count = span(p.cloud_first, *p.transitions.targets(first, last))
         clear_losses(first, last - first, self.loss_input)
         move_points(
             begin, count, self.nodes, self.levels, p.origin, p.moved_transition, self.moved_rotation, self.moved
@@ -131,7 +131,7 @@ class Objective:
         p = self.problem
         flat, adj = self.vertices.flatten(), self.adj_chamfer.flatten()
         begin, count = first * p.vertex_count, (last - first) * p.vertex_count
-        met_begin, met_count = _span(p.cloud_first, first, last)
+        met_begin, met_count = span(p.cloud_first, first, last)
         clear_losses(first, last - first, self.loss_transform)
         self.vertex_grid.build(first, last)
         self.vertex_to_cloud.run(begin, count)
@@ -214,7 +214,7 @@ class Objective:
         if warmup:
             k = p.transitions.keyframe
             return [Phase("move", [*clouds, partial(self._compare, k, k + 1)])]
-        runs = [(a, b - a) for a, b in spans(p.vertex_count, _VERTICES_PER_TASK if cpu else None)]
+        runs = [(a, b - a) for a, b in spans(p.vertex_count, VERTICES_PER_TASK if cpu else None)]
         frames = spans(p.frame_count, 1 if cpu else None)
         return [
             Phase("move", [*(partial(self._chain, a, n) for a, n in runs), *clouds]),
@@ -237,7 +237,7 @@ class Objective:
         return {**terms, "total": sum(terms.values())}
 
 
-def _span(first_of: np.ndarray, first: int, last: int) -> tuple[int, int]:
+def span(first_of: np.ndarray, first: int, last: int) -> tuple[int, int]:
     """Begin and count of runs ``first .. last``."""
     return int(first_of[first]), int(first_of[last] - first_of[first])
 

@@ -16,18 +16,18 @@ for its edges; the shape is solved for.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import warp as wp
 
 from warpdef.config import RefineConfig
-from warpdef.fit.objective import Objective, spans
+from warpdef.fit.objective import VERTICES_PER_TASK, Objective, span, spans
 from warpdef.fit.sobolev import SolveReport, note_solve
 from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.block_cg import BlockSolver
 from warpdef.kernels.cg import ConjugateGradients
-from warpdef.kernels.graphs import mesh_graph
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
 from warpdef.kernels.schedule import add_scaled, blend, copy_vectors
@@ -68,9 +68,7 @@ class Refinement:
         self._shape_pull, self._shape = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
         c = self.config
         self._solver = BlockSolver(p.mesh, frames, c.tolerance, c.iterations_max, device)
-        edges = np.stack([np.repeat(np.arange(count), np.diff(p.mesh.row)), p.mesh.column], axis=1)
-        once = edges[edges[:, 0] < edges[:, 1]]
-        stiff = mesh_graph(once, count, c.shape_smoothness)
+        stiff = replace(p.mesh, weight=np.array([c.shape_smoothness], dtype=np.float32))
         self._shape_solver = ConjugateGradients(stiff, wp.vec3, _SHAPE_TOLERANCE, _SHAPE_ITERATIONS, device)
         self.noise = _noise(p.thickness, c)
         self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
@@ -96,7 +94,6 @@ class Refinement:
         """Take the vertices as they are: the shape is the keyframe's, normals of doubtful side get the mesh's side."""
         p, o = self.problem, self.objective
         copy_vectors(o.vertices[p.transitions.keyframe], self._rest)
-        copy_vectors(self._rest, self._shape)
         everything = p.frame_count * p.vertex_count
         fit_rotations(0, everything, self._row, self._column, self._rest, o.vertices, self._rotation)
         vertex_normals(0, everything, self._faces, self._face_row, self._face_of, o.vertices, self._normals)
@@ -136,8 +133,7 @@ class Refinement:
     def _fit_frames(self, first: int, last: int) -> None:
         p, o, c = self.problem, self.objective, self.config
         begin, count = first * p.vertex_count, (last - first) * p.vertex_count
-        met_begin = int(p.cloud_first[first])
-        met_count = int(p.cloud_first[last]) - met_begin
+        met_begin, met_count = span(p.cloud_first, first, last)
         mesh = (self._row, self._column)
         vertex_normals(begin, count, self._faces, self._face_row, self._face_of, o.vertices, self._normals)
         o.vertex_grid.build(first, last)
@@ -167,7 +163,7 @@ class Refinement:
     def _phases(self) -> list[Phase]:
         p, cpu = self.problem, self.problem.device.is_cpu
         frames = spans(p.frame_count, 1 if cpu else None)
-        runs = spans(p.vertex_count, 1024 if cpu else None)
+        runs = spans(p.vertex_count, VERTICES_PER_TASK if cpu else None)
         phases: list[tuple[str, list[Callable[[], None]]]] = [
             ("frames", [partial(self._fit_frames, a, b) for a, b in frames]),
             ("edges", [partial(self._ask_frames, a, b - a) for a, b in runs]),

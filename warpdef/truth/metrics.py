@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from warpdef.errors import InputError
+from warpdef.files import same_triangles
 from warpdef.mesh import MeshSequence, TriMesh, unique_edges
 from warpdef.truth.distances import closest_on_surface
 from warpdef.truth.sample import sample_surface
@@ -186,7 +187,7 @@ def evaluate(
 
     edges = unique_edges(moving.faces)
     tracked = None
-    if keyframe is not None and _same_triangles(truth):
+    if keyframe is not None and (isinstance(truth, MeshSequence) or same_triangles(truth) is not None):
         at_keyframe = truth[keyframe]
         template = moving[keyframe].vertices
         _, face, barycentric = closest_on_surface(template, at_keyframe.vertices, at_keyframe.faces)
@@ -214,12 +215,3 @@ def evaluate(
             progress(frame + 1, count)
     mean = {key: None if frames[0][key] is None else float(np.mean([f[key] for f in frames])) for key in METRICS}
     return {"mean": mean, "frames": frames}
-
-
-def _same_triangles(truth: MeshSequence | Sequence[TriMesh]) -> bool:
-    if isinstance(truth, MeshSequence):
-        return True
-    first = truth[0]
-    return all(
-        len(mesh.vertices) == len(first.vertices) and np.array_equal(mesh.faces, first.faces) for mesh in truth[1:]
-    )
