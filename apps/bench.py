@@ -48,8 +48,8 @@ def bench(
         plot: Draw a roofline, and growth, to this .png.
         show: Show a report of an earlier --json instead of measuring.
     """
-    from warpdef.apps.bench_compare import compare_reports, read_report
-    from warpdef.apps.bench_plot import plot_report, require_plotting
+    from warpdef.apps.benchmark.compare import compare_reports, read_report
+    from warpdef.apps.benchmark.plot import plot_report, require_plotting
 
     earlier = read_report(compare) if compare else None
     if plot is not None:
@@ -60,7 +60,7 @@ def bench(
     if show is not None:
         report = read_report(show)
     else:
-        from warpdef.apps.bench_session import Options, run_bench
+        from warpdef.apps.benchmark.session import Options, run_bench
 
         options = Options(only, size, quick, scaling, threads, device, data, frames)
         with clean_stdout():
@@ -80,7 +80,7 @@ def bench(
 
 
 def _write_and_print(report: dict, json: Path | None, compare: Path | None) -> None:
-    from warpdef.apps.bench_tables import print_comparison, print_report
+    from warpdef.apps.benchmark.tables import print_comparison, print_report
     from warpdef.files.json_text import json_text
 
     if json is not None:

@@ -12,13 +12,13 @@ from cyclopts.validators import Number
 
 from warpdef.apps.console import clean_stdout, say
 from warpdef.apps.exit_codes import EXIT_OK
-from warpdef.apps.view_movie import check_outputs
+from warpdef.apps.viewer.movie import check_outputs
 from warpdef.config import parse_slice
 from warpdef.errors import InputError
 
 if TYPE_CHECKING:
-    from warpdef.apps.view_actors import Look
-    from warpdef.apps.view_content import Content
+    from warpdef.apps.viewer.actors import Look
+    from warpdef.apps.viewer.content import Content
 
 Flag = Annotated[bool, Parameter(negative="")]
 Slice = Annotated[str, Parameter(allow_leading_hyphen=True)]
@@ -79,8 +79,8 @@ def view(
         html: Write a page for the browser that needs neither server nor network.
         overwrite: Replace older files.
     """
-    from warpdef.apps.view_actors import Look
-    from warpdef.apps.view_probe import RenderingProbe
+    from warpdef.apps.viewer.actors import Look
+    from warpdef.apps.viewer.probe import RenderingProbe
 
     if sheet and screenshot is None:
         raise InputError("--sheet: expected --screenshot FILE.png for the picture, got none; name it")
@@ -91,7 +91,7 @@ def view(
     in_window = screenshot is None and movie is None and html is None
     probe = RenderingProbe(in_window) if in_window or screenshot is not None or movie is not None else None
     try:
-        from warpdef.apps.view_content import load_content
+        from warpdef.apps.viewer.content import load_content
 
         content = load_content(
             output,
@@ -144,7 +144,7 @@ def _check_look(content: Content, look: Look) -> None:
 
 
 def _write_html(content: Content, look: Look, path: Path, fps: float, frame: int) -> None:
-    from warpdef.apps.view_html import write_html
+    from warpdef.apps.viewer.html import write_html
 
     started = time.perf_counter()
     write_html(content, look, path, fps, frame)
@@ -162,8 +162,8 @@ def _write_pictures(
     movie: Path | None,
     turntable: bool,
 ) -> None:
-    from warpdef.apps.view_movie import contact_sheet, save_picture, write_movie
-    from warpdef.apps.view_scene import Scene
+    from warpdef.apps.viewer.movie import contact_sheet, save_picture, write_movie
+    from warpdef.apps.viewer.scene import Scene
 
     with clean_stdout():
         # mp4 wants even numbers of pixels.
@@ -185,9 +185,9 @@ def _write_pictures(
 
 
 def _open_window(content: Content, look: Look, size: tuple[int, int], fps: float, frame: int, title: str) -> None:
-    from warpdef.apps.view_player import Player
-    from warpdef.apps.view_scene import Scene
-    from warpdef.apps.view_window import Window
+    from warpdef.apps.viewer.player import Player
+    from warpdef.apps.viewer.scene import Scene
+    from warpdef.apps.viewer.window import Window
 
     with clean_stdout():
         scene = Scene(content, off_screen=False, size=size, look=look)

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warpdef.apps.bench_bed import difference
-from warpdef.apps.bench_compare import SCHEMA, compare_reports, read_report
-from warpdef.apps.bench_data import Source, Work, load_source, make_work
-from warpdef.apps.bench_meshes import resize_mesh
-from warpdef.apps.bench_point import array_bytes, module_seconds
-from warpdef.apps.bench_scaling import exponents, sweep_sizes, thread_counts, within_bound
-from warpdef.apps.bench_session import Options, chosen_sizes, targets
-from warpdef.apps.bench_sizes import PARTS, ROWS, SIZES, WORK, Size, selection
-from warpdef.apps.bench_timing import Effort, Timing, fit_exponent, measure, null_test
+from warpdef.apps.benchmark.bed import difference
+from warpdef.apps.benchmark.compare import SCHEMA, compare_reports, read_report
+from warpdef.apps.benchmark.data import Source, Work, load_source, make_work
+from warpdef.apps.benchmark.meshes import resize_mesh
+from warpdef.apps.benchmark.point import array_bytes, module_seconds
+from warpdef.apps.benchmark.scaling import exponents, sweep_sizes, thread_counts, within_bound
+from warpdef.apps.benchmark.session import Options, chosen_sizes, targets
+from warpdef.apps.benchmark.sizes import PARTS, ROWS, SIZES, WORK, Size, selection
+from warpdef.apps.benchmark.timing import Effort, Timing, fit_exponent, measure, null_test
 from warpdef.errors import InputError
 from warpdef.mesh import MeshSequence, unique_edges
 from warpdef.sequence import PointSequence

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from test_bench_bookkeeping import sphere
 
-from warpdef.apps import bench_scaling
-from warpdef.apps.bench_bed import Bed, Peer, teams
-from warpdef.apps.bench_compare import SCHEMA
-from warpdef.apps.bench_data import Source, Work, make_work
-from warpdef.apps.bench_iteration import CHECKPOINTS, _runs, descend, iteration_rows, ratio_entry
-from warpdef.apps.bench_loss_cases import loss_cases
-from warpdef.apps.bench_point import run_point
-from warpdef.apps.bench_rows import case_rows, kernel_rows
-from warpdef.apps.bench_scaling import run_sweeps
-from warpdef.apps.bench_sizes import ROWS, WORK, Size, selection
-from warpdef.apps.bench_timing import QUICK
+from warpdef.apps.benchmark import scaling
+from warpdef.apps.benchmark.bed import Bed, Peer, teams
+from warpdef.apps.benchmark.compare import SCHEMA
+from warpdef.apps.benchmark.data import Source, Work, make_work
+from warpdef.apps.benchmark.iteration import CHECKPOINTS, _runs, descend, iteration_rows, ratio_entry
+from warpdef.apps.benchmark.loss_cases import loss_cases
+from warpdef.apps.benchmark.point import run_point
+from warpdef.apps.benchmark.rows import case_rows, kernel_rows
+from warpdef.apps.benchmark.scaling import run_sweeps
+from warpdef.apps.benchmark.sizes import ROWS, WORK, Size, selection
+from warpdef.apps.benchmark.timing import QUICK
 from warpdef.apps.main import run
 from warpdef.errors import WarpdefError
 from warpdef.fit.workers import find_device
@@ -120,7 +120,7 @@ def test_sweeps_and_processes_of_their_own(tmp_path: Path, monkeypatch) -> None:
     assert points[1]["arrays_mb"] > points[0]["arrays_mb"] > 0
     assert all(p["first_s"] >= p["step_s"] > 0 and p["ms"] > 0 and p["peak_mb"] > p["arrays_mb"] for p in points)
     assert set(sweeps[1]["exponents"]) >= {"ms", "arrays_mb", "peak_mb"}
-    monkeypatch.setattr(bench_scaling, "thread_counts", lambda most: [])
+    monkeypatch.setattr(scaling, "thread_counts", lambda most: [])
     largest = replace(TINY, levels=99)  # more than the configuration allows: its process fails
     (sweep,) = run_sweeps(Source("sphere", sphere()), TINY, {}, largest, "cpu", 1, 3, 2, tmp_path, heard.append)[1:]
     assert sweep["points"] == [] and "ended with code" in sweep["error"]
@@ -188,7 +188,7 @@ def plottable() -> dict:
 
 def test_a_picture_is_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    from warpdef.apps.bench_plot import plot_report
+    from warpdef.apps.benchmark.plot import plot_report
     from warpdef.errors import InputError
 
     plot_report(plottable(), tmp_path / "a.png")
@@ -198,7 +198,7 @@ def test_a_picture_is_drawn(tmp_path: Path) -> None:
 
 
 def test_without_matplotlib_it_is_named(tmp_path: Path, monkeypatch) -> None:
-    from warpdef.apps.bench_plot import require_plotting
+    from warpdef.apps.benchmark.plot import require_plotting
     from warpdef.errors import MissingPackageError
 
     monkeypatch.setitem(sys.modules, "matplotlib", None)

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FLOORS = {"warpdef": "warpdef", "kernels": "warpdef.kernels", "apps": "warpdef.apps"}
 HEAVY = {"warp", "numpy", "scipy", "trimesh", "pymeshlab", "gpytoolbox", "pyvista", "matplotlib"}
 KERNELS_MAY_IMPORT = set(sys.stdlib_module_names) | {"warp", "numpy"}
-APPS_ON_KERNELS = "warpdef.apps.bench"  # and its helpers, bench_sizes and so on
+APPS_ON_KERNELS = "warpdef.apps.benchmark"
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ import pytest
 from synthetic import icosphere
 from view_samples import BAR, FRAMES, VERTICES, save_clouds, save_run, save_truth
 
-from warpdef.apps import view_probe
 from warpdef.apps.main import run
 from warpdef.apps.view import parse_size
-from warpdef.apps.view_camera import VIEW_ANGLE, camera_axes, fit_camera
-from warpdef.apps.view_content import Pane, load_content
-from warpdef.apps.view_movie import movie_steps, sheet_frames
-from warpdef.apps.view_player import SPEEDS, Player
-from warpdef.apps.view_probe import RenderingProbe
+from warpdef.apps.viewer import probe as view_probe
+from warpdef.apps.viewer.camera import VIEW_ANGLE, camera_axes, fit_camera
+from warpdef.apps.viewer.content import Pane, load_content
+from warpdef.apps.viewer.movie import movie_steps, sheet_frames
+from warpdef.apps.viewer.player import SPEEDS, Player
+from warpdef.apps.viewer.probe import RenderingProbe
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.export.vertex_normals import vertex_normals
 from warpdef.mesh import MeshSequence, unique_edges

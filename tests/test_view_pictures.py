@@ -9,11 +9,11 @@ import pytest
 from PIL import Image
 from view_samples import BAR, VERTICES, drawing, save_clouds, save_run, save_truth  # noqa: F401
 
-from warpdef.apps import view_probe
 from warpdef.apps.main import run
-from warpdef.apps.view_actors import Look
-from warpdef.apps.view_content import load_content
-from warpdef.apps.view_scene import Scene
+from warpdef.apps.viewer import probe as view_probe
+from warpdef.apps.viewer.actors import Look
+from warpdef.apps.viewer.content import load_content
+from warpdef.apps.viewer.scene import Scene
 from warpdef.mesh import MeshSequence
 
 pytestmark = pytest.mark.usefixtures("drawing", "proven")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from view_samples import drawing, save_clouds, save_run, save_truth  # noqa: F401
 
-from warpdef.apps.view_window import HELP, KEYS
+from warpdef.apps.viewer.window import HELP, KEYS
 
 XVFB = shutil.which("Xvfb")
 needs_screen = pytest.mark.skipif(XVFB is None, reason="no Xvfb on this machine")
@@ -21,10 +21,10 @@ DRIVER = """
 import json, sys, time
 from pathlib import Path
 import numpy as np
-from warpdef.apps.view_content import load_content
-from warpdef.apps.view_player import Player
-from warpdef.apps.view_scene import Scene
-from warpdef.apps.view_window import KEYS, Window
+from warpdef.apps.viewer.content import load_content
+from warpdef.apps.viewer.player import Player
+from warpdef.apps.viewer.scene import Scene
+from warpdef.apps.viewer.window import KEYS, Window
 
 out, folder = Path(sys.argv[1]), Path(sys.argv[2])
 scene = Scene(load_content(out), off_screen=False, size=(400, 300))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from synthetic import bending_bar
 
-from warpdef.apps.view_probe import RenderingProbe
+from warpdef.apps.viewer.probe import RenderingProbe
 from warpdef.config import Config
 from warpdef.errors import MissingPackageError
 from warpdef.files import write_clouds_npz

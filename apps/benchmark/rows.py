@@ -6,13 +6,13 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 
 import warp as wp
 
-from warpdef.apps.bench_bed import Bed, Case, Peer, difference, runner
-from warpdef.apps.bench_loss_cases import loss_cases
-from warpdef.apps.bench_motion_cases import motion_cases
-from warpdef.apps.bench_search_cases import search_cases
-from warpdef.apps.bench_sizes import ROWS
-from warpdef.apps.bench_solve_cases import solve_cases
-from warpdef.apps.bench_timing import Clock, Effort, Timing, measure
+from warpdef.apps.benchmark.bed import Bed, Case, Peer, difference, runner
+from warpdef.apps.benchmark.loss_cases import loss_cases
+from warpdef.apps.benchmark.motion_cases import motion_cases
+from warpdef.apps.benchmark.search_cases import search_cases
+from warpdef.apps.benchmark.sizes import ROWS
+from warpdef.apps.benchmark.solve_cases import solve_cases
+from warpdef.apps.benchmark.timing import Clock, Effort, Timing, measure
 from warpdef.fit.workers import Team
 
 GROUPS: Mapping[str, Callable[[Bed], list[Case]]] = {

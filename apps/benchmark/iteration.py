@@ -17,10 +17,10 @@ from contextlib import closing
 import numpy as np
 import warp as wp
 
-from warpdef.apps.bench_bed import bench_config, bench_problem
-from warpdef.apps.bench_data import Work
-from warpdef.apps.bench_sizes import Size
-from warpdef.apps.bench_timing import Clock, Timing
+from warpdef.apps.benchmark.bed import bench_config, bench_problem
+from warpdef.apps.benchmark.data import Work
+from warpdef.apps.benchmark.sizes import Size
+from warpdef.apps.benchmark.timing import Clock, Timing
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.workers import Team

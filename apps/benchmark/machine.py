@@ -12,9 +12,9 @@ import numpy as np
 import warp as wp
 
 import warpdef
-from warpdef.apps.bench_bed import Case, runner
-from warpdef.apps.bench_kernels import FLOPS_PER_ROUND, multiply_add_rounds, sample_only
-from warpdef.apps.bench_timing import Clock, Effort, measure, null_test
+from warpdef.apps.benchmark.bed import Case, runner
+from warpdef.apps.benchmark.kernels import FLOPS_PER_ROUND, multiply_add_rounds, sample_only
+from warpdef.apps.benchmark.timing import Clock, Effort, measure, null_test
 from warpdef.fit.workers import Team, usable_cores
 from warpdef.kernels.adam import adam
 from warpdef.kernels.levels import LevelTable, node8

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from warpdef.apps.bench_data import Source, make_work
-from warpdef.apps.bench_point import run_point
-from warpdef.apps.bench_sizes import EXPONENT_MAX, LINEAR_SWEEPS, Size
-from warpdef.apps.bench_timing import fit_exponent
+from warpdef.apps.benchmark.data import Source, make_work
+from warpdef.apps.benchmark.point import run_point
+from warpdef.apps.benchmark.sizes import EXPONENT_MAX, LINEAR_SWEEPS, Size
+from warpdef.apps.benchmark.timing import fit_exponent
 from warpdef.errors import WarpdefError
 
 _LARGEST_ITERATIONS = 5

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from warpdef.apps.bench_meshes import resize_mesh
-from warpdef.apps.bench_sizes import Size
+from warpdef.apps.benchmark.meshes import resize_mesh
+from warpdef.apps.benchmark.sizes import Size
 from warpdef.config import Config, parse_slice
 from warpdef.errors import InputError
 from warpdef.files.numpy_files import Npz

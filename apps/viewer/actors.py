@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-    from warpdef.apps.view_content import Pane
+    from warpdef.apps.viewer.content import Pane
     from warpdef.truth.colouring import Colouring
 
 PLAIN, MATERIAL = "plain", "template"

@@ -1,6 +1,6 @@
 """One problem in a process of its own: seconds to the first iteration, seconds of the next ones, and memory.
 
-Run by the bench as ``python -m warpdef.apps.bench_point REQUEST``, REQUEST being JSON; prints one line of JSON last.
+Run by the bench as ``python -m warpdef.apps.benchmark.point REQUEST``, REQUEST being JSON; one line of JSON comes last.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from warpdef.apps.bench_sizes import WORK, Size
+from warpdef.apps.benchmark.sizes import WORK, Size
 from warpdef.errors import WarpdefError
 
 _DISCARDED = 0.5  # share of the full iterations that are not counted: after the warm-up far vertices still catch up
@@ -50,7 +50,7 @@ def run_point(
         "warmup": warmup,
         "cache": str(cache) if cache else None,
     }
-    command = [sys.executable, "-m", "warpdef.apps.bench_point", json.dumps(request)]
+    command = [sys.executable, "-m", "warpdef.apps.benchmark.point", json.dumps(request)]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
     lines = done.stdout.strip().splitlines()
     if done.returncode != 0 or not lines:
@@ -128,9 +128,9 @@ def _measure(request: dict[str, Any]) -> dict[str, Any]:
 
     import numpy as np
 
-    from warpdef.apps.bench_bed import bench_config, bench_problem
-    from warpdef.apps.bench_data import Work
-    from warpdef.apps.bench_timing import Clock
+    from warpdef.apps.benchmark.bed import bench_config, bench_problem
+    from warpdef.apps.benchmark.data import Work
+    from warpdef.apps.benchmark.timing import Clock
     from warpdef.fit.optimise import Optimiser
     from warpdef.fit.workers import Team, find_device
 

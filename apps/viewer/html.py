@@ -16,8 +16,8 @@ from warpdef.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from warpdef.apps.view_actors import Look
-    from warpdef.apps.view_content import Content, Pane
+    from warpdef.apps.viewer.actors import Look
+    from warpdef.apps.viewer.content import Content, Pane
 
 _STEPS = 65535
 
@@ -28,9 +28,9 @@ def write_html(content: Content, look: Look, path: Path, fps: float, frame: int 
     Raises:
         InputError: a pane whose triangles change, or the file cannot be written.
     """
-    from warpdef.apps.view_camera import AZIMUTH, ELEVATION, MARGIN, VIEW_ANGLE, box_extent
-    from warpdef.apps.view_page import PAGE
-    from warpdef.apps.view_script import SCRIPT
+    from warpdef.apps.viewer.camera import AZIMUTH, ELEVATION, MARGIN, VIEW_ANGLE, box_extent
+    from warpdef.apps.viewer.page import PAGE
+    from warpdef.apps.viewer.script import SCRIPT
     from warpdef.files.disk import replacing
 
     low, high = content.bounds
@@ -90,7 +90,7 @@ def _colors(pane: Pane, content: Content, look: Look) -> dict[str, Any]:
     """Material colours, or a measure as bytes with the table that turns them into colours."""
     import numpy as np
 
-    from warpdef.apps.view_actors import MATERIAL
+    from warpdef.apps.viewer.actors import MATERIAL
     from warpdef.truth.colouring import MEASURES, material_colors
 
     packed: dict[str, Any] = {}

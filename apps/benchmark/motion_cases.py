@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpdef.apps.bench_bed import Bed, Case, Peer, run_tasks
-from warpdef.apps.bench_kernels import adj_sample_only, rotate_only, sample_only
-from warpdef.apps.bench_peers import rotate_numpy, sample_scipy, scatter_numpy, torch_peers
+from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
+from warpdef.apps.benchmark.kernels import adj_sample_only, rotate_only, sample_only
+from warpdef.apps.benchmark.peers import rotate_numpy, sample_scipy, scatter_numpy, torch_peers
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_points, move_vertices, scatter_vertices
 

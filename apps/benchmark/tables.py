@@ -8,7 +8,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from warpdef.apps.bench_sizes import EXPONENT_MAX
+from warpdef.apps.benchmark.sizes import EXPONENT_MAX
 from warpdef.apps.console import key_value_table, print_table
 
 _LARGEST_SHARES = 12  # kernels shown of an iteration

@@ -8,7 +8,7 @@ from itertools import count as count_from
 import numpy as np
 import warp as wp
 
-from warpdef.apps.bench_bed import Bed, Case, Peer, run_tasks
+from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.neighbours import NearestSearch
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpdef.apps.bench_bed import Bed, Case, Peer, run_tasks
-from warpdef.apps.bench_peers import add_rows, chamfer_numpy, isometry_numpy
+from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
+from warpdef.apps.benchmark.peers import add_rows, chamfer_numpy, isometry_numpy
 from warpdef.kernels.chamfer import fixed_to_moving, moving_to_fixed
 from warpdef.kernels.isometry import isometry
 

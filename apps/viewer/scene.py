@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from warpdef.apps.view_actors import TEXT_COLOR, CloudActor, Look, SurfaceActor
-from warpdef.apps.view_camera import LIFT, VIEW_ANGLE, fit_camera
+from warpdef.apps.viewer.actors import TEXT_COLOR, CloudActor, Look, SurfaceActor
+from warpdef.apps.viewer.camera import LIFT, VIEW_ANGLE, fit_camera
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from warpdef.apps.view_content import Content
+    from warpdef.apps.viewer.content import Content
     from warpdef.mesh import MeshSequence
 
 TRAJECTORIES = 150

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import warp as wp
 
-from warpdef.apps.bench_data import Work
-from warpdef.apps.bench_sizes import Size
+from warpdef.apps.benchmark.data import Work
+from warpdef.apps.benchmark.sizes import Size
 from warpdef.config import Config
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem

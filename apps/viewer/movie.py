@@ -12,7 +12,7 @@ from warpdef.errors import InputError, MissingPackageError
 if TYPE_CHECKING:
     import numpy as np
 
-    from warpdef.apps.view_scene import Scene
+    from warpdef.apps.viewer.scene import Scene
 
 MOVIES = (".mp4", ".gif")
 PICTURES = (".png", ".jpg", ".jpeg")

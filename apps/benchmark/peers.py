@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from warpdef.apps.bench_bed import Peer
+from warpdef.apps.benchmark.bed import Peer
 from warpdef.kernels.cosine import cosine_matrix
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.levels import LevelTable

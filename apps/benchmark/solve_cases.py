@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpdef.apps.bench_bed import Bed, Case, Peer, run_tasks
-from warpdef.apps.bench_peers import Factored, cosine_numpy
+from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
+from warpdef.apps.benchmark.peers import Factored, cosine_numpy
 from warpdef.config import Config
 from warpdef.fit.sobolev import level_lambdas
 from warpdef.kernels.adam import adam

@@ -1,4 +1,4 @@
-"""The web page of ``view_html``: markup and style; ``@TITLE@``, ``@SCENE@`` and ``@SCRIPT@`` are filled in.
+"""The web page of ``viewer/html.py``: markup and style; ``@TITLE@``, ``@SCENE@`` and ``@SCRIPT@`` are filled in.
 
 The root element tells its state in data attributes (``data-ready``, ``data-frame``, ``data-drawn``, ``data-error``),
 for whoever watches the page from outside.

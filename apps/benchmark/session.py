@@ -22,15 +22,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from warpdef.apps.bench_bed import Bed, teams
-from warpdef.apps.bench_compare import SCHEMA
-from warpdef.apps.bench_data import Source, load_source, make_work
-from warpdef.apps.bench_iteration import descend, iteration_rows, kernel_milliseconds_cuda, ratio_entry
-from warpdef.apps.bench_machine import arithmetic_peak, copy_bandwidth, environment, null_tests
-from warpdef.apps.bench_point import run_point
-from warpdef.apps.bench_rows import kernel_rows
-from warpdef.apps.bench_scaling import run_sweeps
-from warpdef.apps.bench_sizes import (
+from warpdef.apps.benchmark.bed import Bed, teams
+from warpdef.apps.benchmark.compare import SCHEMA
+from warpdef.apps.benchmark.data import Source, load_source, make_work
+from warpdef.apps.benchmark.iteration import descend, iteration_rows, kernel_milliseconds_cuda, ratio_entry
+from warpdef.apps.benchmark.machine import arithmetic_peak, copy_bandwidth, environment, null_tests
+from warpdef.apps.benchmark.point import run_point
+from warpdef.apps.benchmark.rows import kernel_rows
+from warpdef.apps.benchmark.scaling import run_sweeps
+from warpdef.apps.benchmark.sizes import (
     LARGEST,
     PARTS,
     SIZES,
@@ -43,7 +43,7 @@ from warpdef.apps.bench_sizes import (
     Size,
     selection,
 )
-from warpdef.apps.bench_timing import QUICK, Effort
+from warpdef.apps.benchmark.timing import QUICK, Effort
 from warpdef.errors import InputError
 from warpdef.fit.workers import find_device, usable_cores
 

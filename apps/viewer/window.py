@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from warpdef.apps.view_actors import MATERIAL, PLAIN
-from warpdef.apps.view_movie import save_picture
-from warpdef.apps.view_player import Player
-from warpdef.apps.view_scene import Scene
+from warpdef.apps.viewer.actors import MATERIAL, PLAIN
+from warpdef.apps.viewer.movie import save_picture
+from warpdef.apps.viewer.player import Player
+from warpdef.apps.viewer.scene import Scene
 
 _IDLE_SECONDS = 0.01
 

@@ -1,0 +1,1 @@
+"""The machinery of ``warpdef bench``: sizes, beds, rows, peers, sweeps and tables."""
