@@ -1,4 +1,4 @@
-"""The script of the web page of ``viewer/html.py``: WebGL 2 and nothing else; one buffer for all frames, none sent twice."""
+"""The script of the web page of ``viewer/html.py``: WebGL 2 and nothing else; one buffer holds all frames."""
 
 SCRIPT = r""""use strict";
 const root = document.documentElement.dataset, $ = id => document.getElementById(id);
