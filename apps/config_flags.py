@@ -19,7 +19,12 @@ from cyclopts import Group, Parameter
 from warpdef import config as config_module
 from warpdef.config import Config, preset
 
-ALIASES = {"keyframe.choice": "--keyframe", "template.mesh": "--template", "optimiser.iterations": "--iterations"}
+ALIASES = {
+    "keyframe.choice": "--keyframe",
+    "template.mesh": "--template",
+    "template.method": "--template-method",
+    "optimiser.iterations": "--iterations",
+}
 HYPHENATED = ("frames",)  # "-5:" is a slice, not a flag
 
 

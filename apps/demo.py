@@ -16,7 +16,7 @@ from warpdef.apps.console import ProgressDisplay, clean_stdout, print_json, say
 from warpdef.apps.evaluate import evaluate_run
 from warpdef.apps.exit_codes import EXIT_INTERRUPTED, EXIT_OK
 from warpdef.apps.metric_tables import print_means
-from warpdef.apps.reconstruct import finish, run_to_folder
+from warpdef.apps.reconstruct import RunOptions, finish, run_to_folder
 from warpdef.apps.run_summary import print_summary
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def demo(
         truth, clouds = make_input(frames, points)
     if overwrite:
         remove_own_input(output, truth, clouds)
-    run = run_to_folder(clouds, output, config, device=device, threads=threads, overwrite=overwrite)
+    run = run_to_folder(clouds, output, config, RunOptions(device, threads, overwrite))
     write_input(run.path, truth, clouds)
     if not json:
         print_summary(run.result, run.path)

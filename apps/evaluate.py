@@ -38,19 +38,19 @@ def evaluate(
 
     Args:
         output: Folder of a reconstruction; the measures are put into it as metrics.json.
-        truth: An npz with vertices (T, V, 3) and faces, or a folder of meshes.
+        truth: An npz with vertices (T, V, 3) and faces, a folder of meshes, or any other that warpdef datasets finds.
         frames: The truth's frames that the result was made from, start:stop:step; empty: all.
         samples: Samples on each surface.
         seed: Seed of the samples.
         per_frame: Show every frame, not only the mean.
         json: Print metrics.json on standard output, and nothing else there.
     """
-    from warpdef.files import read_mesh_frames
+    from warpdef.datasets.truth import read_truth
     from warpdef.files.run_folder import load_run
 
     chosen = parse_slice(frames)
     run = load_run(output)
-    metrics = evaluate_run(run, read_mesh_frames(truth, chosen), samples=samples, seed=seed)
+    metrics = evaluate_run(run, read_truth(truth, chosen), samples=samples, seed=seed)
     if json:
         print_json(metrics)
     else:

@@ -21,6 +21,8 @@ def export(
     *,
     format: str = "",
     fps: Annotated[float, Parameter(validator=Number(gt=0))] = 24.0,
+    slow: Annotated[float, Parameter(validator=Number(gt=0))] = 1.0,
+    recorded_fps: Annotated[float | None, Parameter(validator=Number(gt=0))] = None,
     up: Literal["y", "z"] = "y",
     frames: Annotated[str, Parameter(allow_leading_hyphen=True)] = "",
     metres_per_unit: Annotated[float, Parameter(validator=Number(gt=0))] = 1.0,
@@ -35,7 +37,10 @@ def export(
         output: Folder of a reconstruction.
         file: Where to write.
         format: A format's suffix, where FILE has another or none: --format ply.
-        fps: Frames a second.
+        fps: Frames a second of the file.
+        slow: Play so many times slower than recorded, with frames in between by interpolated motion: --slow 4.
+        recorded_fps: Frames a second of the input; those of the file if not given. 15 with --fps 60 makes four frames
+            of one, at the same speed.
         up: The axis that points up in the result; .glb and .usd carry it.
         frames: Frames used, start:stop:step; empty: all.
         metres_per_unit: Length of the result's unit in metres; .glb and .usd carry it.
@@ -48,13 +53,24 @@ def export(
     started = time.perf_counter()
     check_place(file, format_of(file, format), overwrite)
     with clean_stdout():
-        animation = load_animation(output, frames=parse_slice(frames), fps=fps, up=up, metres_per_unit=metres_per_unit)
+        animation = load_animation(
+            output,
+            frames=parse_slice(frames),
+            fps=fps,
+            up=up,
+            metres_per_unit=metres_per_unit,
+            slow=slow,
+            recorded_fps=recorded_fps,
+        )
         places = write(animation, file, format=format, overwrite=overwrite)
+    frame_count, vertex_count = animation.vertices.shape[:2]
+    report_places(f"{frame_count} frames, {vertex_count} vertices, {len(animation.faces)} faces", places, started)
+    return EXIT_OK
+
+
+def report_places(what: str, places: list[Path], started: float) -> None:
+    """One line on standard output: what was written where, its size, and the time since ``started``."""
     files = [p for place in places for p in ([place] if place.is_file() else place.iterdir())]
     megabytes = sum(p.stat().st_size for p in files) / 1e6
-    frame_count, vertex_count = animation.vertices.shape[:2]
-    print(
-        f"{frame_count} frames, {vertex_count} vertices, {len(animation.faces)} faces: "
-        f"{' and '.join(str(place) for place in places)} ({megabytes:.1f} MB, {time.perf_counter() - started:.1f} s)"
-    )
-    return EXIT_OK
+    seconds = time.perf_counter() - started
+    print(f"{what}: {' and '.join(str(place) for place in places)} ({megabytes:.1f} MB, {seconds:.1f} s)")

@@ -22,8 +22,11 @@ COMMANDS = {
     "reconstruct": "Reconstruct one moving mesh from a sequence of point clouds.",
     "evaluate": "Compare a result with the true mesh sequence.",
     "sample": "Sample point clouds from a true mesh sequence.",
+    "datasets": "Say which true mesh sequences a folder holds, and what is wrong with them.",
+    "experiment": "Run a whole table of the paper, or of our own, with published numbers beside ours.",
     "bench": "Measure the kernels and the whole iteration on this machine.",
     "export": "Write a result for another program: glb, usd, pc2, mdd, pvd, obj, ply, npz, anime.",
+    "deform": "Move other geometry, a denser or textured mesh or points, as a result moves.",
     "view": "Show a result in a window, or as pictures, a movie or a web page.",
 }
 """Name and summary; ``name`` is the function ``name`` of ``warpdef.apps.name``."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,40 +17,72 @@ from warpdef.apps.console import ProgressDisplay, Stopwatch, clean_stdout, print
 from warpdef.apps.exit_codes import EXIT_INTERRUPTED, EXIT_OK
 from warpdef.apps.run_summary import print_summary
 from warpdef.config import Config, parse_slice
+from warpdef.errors import InputError, WarpdefError
 
 if TYPE_CHECKING:
+    from warpdef.appearance import Appearance
+    from warpdef.fit.saving import Saved
+    from warpdef.progress import Callback, Progress
     from warpdef.result import Reconstruction
     from warpdef.sequence import PointSequence
 
+_READ_FACTOR = 20  # points of a frame kept while reading, times those that the method is to use
+
+CHECKPOINT_SECONDS = 60.0
+
 
 def reconstruct(
-    input: Path,
+    input: Path | None = None,
     /,
     *,
-    output: Annotated[Path, Parameter(alias="-o")],
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    resume: Path | None = None,
     preset: Literal["default", "paper"] = "default",
     config: Path | None = None,
     device: str = "auto",
     threads: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
     json: Annotated[bool, Parameter(negative="")] = False,
+    live: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
+    strict: Annotated[bool, Parameter(negative="")] = False,
+    max_seconds: Annotated[float | None, Parameter(validator=Number(gt=0))] = None,
+    checkpoint_seconds: Annotated[float, Parameter(validator=Number(gte=0))] = CHECKPOINT_SECONDS,
+    memory_limit: Annotated[float | None, Parameter(validator=Number(gte=0))] = None,
     flags: ConfigFlags | None = None,
 ) -> int:
     """Reconstruct one moving mesh from a sequence of point clouds.
 
     Args:
-        input: Folder of numbered clouds (ply, obj, off, xyz, npy), or an npz with points and, if known, normals.
+        input: Folder of numbered clouds (ply, obj, off, xyz, npy, pcd, las, laz), or an npz with points and, if known,
+            normals.
         output: Folder for the result.
+        resume: OUTPUT of a run that was cut short, to go on from its last checkpoint with the same input (INPUT only
+            if it lies elsewhere now), to the same result.
         preset: Values to start from: default is what was measured to be better, paper the published ones.
         config: TOML file whose values replace the preset's; flags win over both. An older result's config.toml
             repeats its run.
         device: auto, cpu, or cuda:N.
         threads: CPU threads; all if not given.
         json: Print report.json on standard output, and nothing else there.
-        overwrite: Replace an older result at OUTPUT.
+        live: Show the mesh in a window while it is optimised; closing it does not end the run.
+        overwrite: Replace an older result at OUTPUT, or begin an unfinished run anew.
+        strict: Refuse input with a frame that cannot be used (empty, damaged); else its mesh is interpolated, with a
+            warning.
+        max_seconds: Time limit: end with the best state so far. Writing the result comes on top.
+        checkpoint_seconds: Least time between two checkpoints, kept beside OUTPUT until the result is written.
+        memory_limit: GiB that the run may be estimated to need, else it is refused; what is free if not given;
+            0 for no limit.
     """
-    settings = resolve_config(preset, config, flags)
-    run = run_to_folder(input, output, settings, device=device, threads=threads, overwrite=overwrite)
+    how = RunOptions(device, threads, overwrite, strict, checkpoint_seconds, max_seconds, memory_limit, live)
+    if resume is None:
+        if input is None or output is None:
+            missing = "INPUT" if input is None else "--output"
+            raise InputError(f"reconstruct: expected {missing}, got none; see warpdef reconstruct --help")
+        run = run_to_folder(input, output, resolve_config(preset, config, flags), how)
+    else:
+        if preset != "default" or config is not None or flags is not None:
+            raise InputError("--resume goes on with the configuration of that run; leave out all flags that change it")
+        run = resume_to_folder(resume, input, output, how)
     if json:
         print_json(run.result.report)
     else:
@@ -56,21 +91,59 @@ def reconstruct(
 
 
 @dataclasses.dataclass(frozen=True)
+class RunOptions:
+    """How a run is made, whatever it computes; as the flags of the command. ``checkpoint_seconds`` None: never."""
+
+    device: str = "auto"
+    threads: int | None = None
+    overwrite: bool = False
+    strict: bool = False
+    checkpoint_seconds: float | None = None
+    max_seconds: float | None = None
+    memory_limit: float | None = None
+    live: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
 class FinishedRun:
-    """A result and the folder where it lies."""
+    """A result and the folder where it lies; ``resumable`` if it was stopped and can go on."""
 
     result: Reconstruction
     path: Path
+    resumable: bool = False
+
+
+def resume_to_folder(resumed: Path, source: Path | None, output: Path | None, how: RunOptions) -> FinishedRun:
+    """Go on with the run whose output was to be ``resumed``.
+
+    Args:
+        source: where its input lies now; None: where it lay.
+        output: where the result goes; None: where it was to go.
+
+    Raises:
+        WarpdefError: there is no checkpoint, it is damaged, or the input is not the same.
+    """
+    from warpdef.files.run_folder import RunFolder
+    from warpdef.fit.saving import Saved
+
+    unfinished = RunFolder.prepare(resumed, resume=True)
+    if not unfinished.checkpoint.exists():
+        raise InputError(f"{resumed}: no checkpoint of an unfinished run is kept there; start it without --resume")
+    saved = Saved(unfinished.checkpoint)
+    notes = saved.facts["notes"]
+    if source is None:
+        source = Path(notes["input"])
+        if not source.exists():
+            raise InputError(f"{source}: the input of the run to resume is gone; give its new place before --resume")
+    config = dataclasses.replace(saved.config, frames=notes["frames"])
+    run = run_to_folder(source, output or resumed, config, how, saved)
+    if not run.resumable:
+        unfinished.checkpoint.unlink(missing_ok=True)
+    return run
 
 
 def run_to_folder(
-    source: Path | PointSequence,
-    output: Path,
-    config: Config,
-    *,
-    device: str = "auto",
-    threads: int | None = None,
-    overwrite: bool = False,
+    source: Path | PointSequence, output: Path, config: Config, how: RunOptions, saved: Saved | None = None
 ) -> FinishedRun:
     """Load, reconstruct with progress on standard error, and write the run folder.
 
@@ -78,8 +151,8 @@ def run_to_folder(
         source: where the clouds are, or the clouds themselves, of which ``config.frames`` are used.
         output: the run folder to make.
         config: the whole configuration, stored beside the result.
-        device, threads: as the flags of the command.
-        overwrite: replace an older result.
+        how: threads, limits and the like.
+        saved: the checkpoint to go on from.
 
     Raises:
         WarpdefError: input, configuration, device or output place is not usable; then nothing is written.
@@ -88,48 +161,103 @@ def run_to_folder(
     from warpdef.files.run_folder import RunFolder
 
     total, watch = Stopwatch(), Stopwatch()
-    folder = RunFolder.prepare(output, overwrite)
-    with clean_stdout(), ProgressDisplay() as display:
+    same_place = saved is not None and RunFolder(Path(os.path.realpath(output)), True).checkpoint == saved.path
+    folder = RunFolder.prepare(output, how.overwrite, resume=same_place)
+    with clean_stdout(), ProgressDisplay() as display, contextlib.ExitStack() as shown:
         frames = parse_slice(config.frames)
         display.start("load")
-        sequence = read_clouds(source, frames) if isinstance(source, Path) else source.select(frames)
+        if isinstance(source, Path):
+            # Of a frame far larger than asked for only a part is held; the method draws from it.
+            kept = _READ_FACTOR * config.points
+            sequence = read_clouds(source, frames, strict=how.strict, points=kept, seed=config.seed)
+        else:
+            sequence = source.select(frames)
         template = read_mesh(config.template.mesh) if config.template.mesh else None
         loading = watch.lap()
 
+        tell = shown.enter_context(_shown_live(sequence, display, output)) if how.live else display
+
         from warpdef.pipeline import reconstruct as reconstruct_sequence
 
-        # The frames are chosen already: files outside the range are never opened.
-        result = reconstruct_sequence(
-            sequence,
-            dataclasses.replace(config, frames=""),
-            device=device,
-            threads=threads,
-            template=template,
-            callback=display,
-        )
-        watch.lap()
-        display.start("write")
+        where = str(source.resolve()) if isinstance(source, Path) else ""
+        try:
+            result = reconstruct_sequence(
+                sequence,
+                # The frames are chosen already: files outside the range are never opened.
+                None if saved is not None else dataclasses.replace(config, frames=""),
+                device=how.device,
+                threads=how.threads,
+                template=template,
+                callback=tell,
+                checkpoint=None if how.checkpoint_seconds is None else folder.checkpoint,
+                checkpoint_seconds=how.checkpoint_seconds or 0.0,
+                resume=saved,
+                notes={"input": where, "frames": config.frames},
+                seconds_max=None if how.max_seconds is None else max(how.max_seconds - loading, 0.0),
+                memory_limit=how.memory_limit,
+            )
+            watch.lap()
+            display.start("write")
 
-        def report() -> dict[str, Any]:
-            inner = result.report["seconds"]
-            result.report["seconds"] = {"load": loading, **inner, "write": watch.lap(), "total": total.lap()}
-            return result.report
+            def report() -> dict[str, Any]:
+                inner = result.report["seconds"]
+                result.report["seconds"] = {"load": loading, **inner, "write": watch.lap(), "total": total.lap()}
+                return result.report
 
-        path = folder.save(
-            vertices=result.vertices,
-            faces=result.faces,
-            keyframe=result.keyframe,
-            config=dataclasses.replace(result.config, frames=config.frames),
-            report=report,
-            steps=result.steps,
-            names=sequence.names,
-        )
-    return FinishedRun(result, path)
+            path = folder.save(
+                vertices=result.vertices,
+                faces=result.faces,
+                keyframe=result.keyframe,
+                config=dataclasses.replace(result.config, frames=config.frames),
+                report=report,
+                steps=result.steps,
+                names=sequence.frame_names,
+                motion=result.motion,
+                appearance=result.appearance or _look_of_template(result),
+            )
+        except BaseException:
+            if folder.checkpoint.exists():
+                say(f"warpdef: the last checkpoint is kept; go on with: warpdef reconstruct --resume {output}")
+            raise
+    stopped = bool(result.report.get("stopped"))
+    if not stopped:
+        folder.checkpoint.unlink(missing_ok=True)
+    return FinishedRun(result, path, stopped and folder.checkpoint.exists())
+
+
+def _look_of_template(result: Reconstruction) -> Appearance | None:
+    """Colours and texture of the template given, for a run that went on from a checkpoint, which has only its shape."""
+    from warpdef.files import read_mesh
+
+    if not result.config.template.mesh:
+        return None
+    try:
+        mesh = read_mesh(result.config.template.mesh)
+    except WarpdefError:
+        return None  # the file is gone; the motion is not
+    return mesh.appearance if mesh.faces.tolist() == result.faces.tolist() else None
+
+
+@contextlib.contextmanager
+def _shown_live(sequence: PointSequence, display: ProgressDisplay, output: Path) -> Iterator[Callback]:
+    """A callback that shows progress on standard error and the mesh in a window, which closes at the end."""
+    from warpdef.apps.viewer.live import LiveView
+
+    with contextlib.closing(LiveView(sequence, str(output), say)) as view:
+
+        def tell(progress: Progress) -> None:
+            display(progress)
+            view(progress)
+
+        yield tell
 
 
 def finish(run: FinishedRun) -> int:
-    """The exit code of a finished run; an interrupted one says so on standard error."""
-    if not run.result.report["interrupted"]:
+    """The exit code of a finished run; one that ended early says so on standard error."""
+    report = run.result.report
+    if not report.get("stopped") and not report["interrupted"]:
         return EXIT_OK
-    say(f"warpdef: interrupted after {run.result.report['iterations']} iterations: the best state is in {run.path}")
-    return EXIT_INTERRUPTED
+    why = "interrupted" if report["interrupted"] else f"stopped ({report['stopped']})"
+    more = f"; go on with: warpdef reconstruct --resume {run.path}" if run.resumable else ""
+    say(f"warpdef: {why} after {report['iterations']} iterations: the best state is in {run.path}{more}")
+    return EXIT_INTERRUPTED if report["interrupted"] else EXIT_OK

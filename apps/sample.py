@@ -29,7 +29,7 @@ def sample(
     """Sample point clouds from a true mesh sequence.
 
     Args:
-        truth: An npz with vertices (T, V, 3) and faces, or a folder of meshes.
+        truth: An npz with vertices (T, V, 3) and faces, a folder of meshes, or any other that warpdef datasets finds.
         output: File for the clouds, .npz.
         points: Points a frame, uniform by area, drawn anew in every frame.
         frames: Frames used, start:stop:step; empty: all.
@@ -38,13 +38,14 @@ def sample(
         seed: Seed of points and noise.
         overwrite: Replace OUTPUT if it exists.
     """
-    from warpdef.files import read_mesh_frames, write_clouds_npz
+    from warpdef.datasets.truth import read_truth
+    from warpdef.files import write_clouds_npz
     from warpdef.truth.sample import sample_sequence
 
     if output.exists() and not overwrite:
         raise InputError(f"{output}: already exists; choose another place, or replace it with --overwrite")
     with clean_stdout():
-        meshes = read_mesh_frames(truth, parse_slice(frames))
+        meshes = read_truth(truth, parse_slice(frames))
         clouds = sample_sequence(meshes, points, noise=noise, seed=seed, normals=normals)
         write_clouds_npz(output, clouds)
     given = "without" if clouds.normals[0] is None else "with"

@@ -17,7 +17,9 @@ from warpdef.kernels.launching import MODULE_OPTIONS, launch, require
 
 wp.set_module_options(MODULE_OPTIONS)
 
-_CELLS_PER_POINT = 8.0  # a surface fills few of a box's cells: some three points in each of those
+# A surface fills few of a box's cells: some six points in each of those on the CPU, which searches for many queries at
+# once, and three on CUDA, where every query searches on its own.
+_CELLS_PER_POINT = {"cpu": 3.0, "cuda": 8.0}
 _CELLS_MAX = 2**18
 
 
@@ -52,8 +54,85 @@ def cell_of(p: wp.vec3, cells: Cells) -> int:
     return (axis_cell(p[2], cells.lower[2], cells.size, cells.nz) * cells.ny + y) * cells.nx + x
 
 
+@wp.func
+def first_candidate(q: wp.vec3, group: int, cells: Cells, start: wp.array2d(dtype=wp.int32)) -> int:
+    """Slot of some point in the nearest ring of cells that has one; -1 if the group is empty."""
+    cx = axis_cell(q[0], cells.lower[0], cells.size, cells.nx)
+    cy = axis_cell(q[1], cells.lower[1], cells.size, cells.ny)
+    cz = axis_cell(q[2], cells.lower[2], cells.size, cells.nz)
+    found = int(-1)
+    ring = int(0)
+    while found < 0 and ring < wp.max(cells.nx, wp.max(cells.ny, cells.nz)):
+        x0 = wp.max(cx - ring, 0)
+        x1 = wp.min(cx + ring, cells.nx - 1)
+        for z in range(wp.max(cz - ring, 0), wp.min(cz + ring, cells.nz - 1) + 1):
+            for y in range(wp.max(cy - ring, 0), wp.min(cy + ring, cells.ny - 1) + 1):
+                row = (z * cells.ny + y) * cells.nx
+                if start[group, row + x1 + 1] > start[group, row + x0]:
+                    found = start[group, row + x0]
+        ring = ring + 1
+    return found
+
+
+# A counting sort, stable, as one CPU core does it best; and the largest squared move since the last build.
+_SORT_GROUP = """
+#if !defined(__CUDA_ARCH__)
+    const int nx = cells.nx, ny = cells.ny, nz = cells.nz, count = nx * ny * nz;
+    const float lx = cells.lower[0], ly = cells.lower[1], lz = cells.lower[2], inverse = 1.0f / cells.size;
+    const float tx = (float)nx - 0.5f, ty = (float)ny - 0.5f, tz = (float)nz - 0.5f;
+    const float* const p = (const float*)points.data;
+    float* const before = (float*)last.data;
+    int* const of = cell.data;
+    int* const end_of = start_out.data + (size_t)group * start_out.shape[1];
+    __builtin_memset(end_of, 0, sizeof(int) * (count + 1));
+    float farthest = 0.0f;
+    for (int i = begin; i < end; ++i) {
+        const float x = p[3 * i], y = p[3 * i + 1], z = p[3 * i + 2];
+        const float dx = x - before[3 * i], dy = y - before[3 * i + 1], dz = z - before[3 * i + 2];
+        const float moved = dx * dx + dy * dy + dz * dz;
+        // A move that is no number: no bound holds any more.
+        farthest = !(moved < 3.0e38f) ? INFINITY : (moved > farthest ? moved : farthest);
+        before[3 * i] = x; before[3 * i + 1] = y; before[3 * i + 2] = z;
+        // A comparison that NaN fails sends NaN to the corner.
+        const float gx = (x - lx) * inverse, gy = (y - ly) * inverse, gz = (z - lz) * inverse;
+        const int cx = (int)(gx > 0.0f ? (gx < tx ? gx : tx) : 0.0f);
+        const int cy = (int)(gy > 0.0f ? (gy < ty ? gy : ty) : 0.0f);
+        const int cz = (int)(gz > 0.0f ? (gz < tz ? gz : tz) : 0.0f);
+        of[i] = (cz * ny + cy) * nx + cx;
+    }
+    for (int i = begin; i < end; ++i) ++end_of[of[i]];
+    int total = begin;
+    for (int c = 0; c <= count; ++c) end_of[c] = total += end_of[c];
+    // Backwards from each cell's end keeps the order within a cell, and leaves where it begins.
+    float* const sorted = (float*)sorted_out.data;
+    for (int i = end - 1; i >= begin; --i) {
+        const int slot = --end_of[of[i]];
+        order_out.data[slot] = i;
+        sorted[3 * slot] = p[3 * i]; sorted[3 * slot + 1] = p[3 * i + 1]; sorted[3 * slot + 2] = p[3 * i + 2];
+    }
+    odometer.data[group] += (double)sqrtf(farthest);
+#endif
+"""
+
+
+@wp.func_native(_SORT_GROUP)
+def sort_group(
+    group: int,
+    begin: int,
+    end: int,
+    cells: Cells,
+    points: wp.array(dtype=wp.vec3),
+    cell: wp.array(dtype=wp.int32),
+    last: wp.array(dtype=wp.vec3),
+    odometer: wp.array(dtype=wp.float64),
+    start_out: wp.array2d(dtype=wp.int32),
+    order_out: wp.array(dtype=wp.int32),
+    sorted_out: wp.array(dtype=wp.vec3),
+): ...
+
+
 @wp.kernel
-def _sort_group(
+def _sort_groups(
     # In:
     first_group: int,
     cells: Cells,
@@ -69,33 +148,9 @@ def _sort_group(
     order_out: wp.array(dtype=wp.int32),
     sorted_out: wp.array(dtype=wp.vec3),
 ):
-    """One thread a group: a counting sort, stable, as one CPU core does it best."""
+    """CPU: one thread a group."""
     g = first_group + wp.tid()
-    count = cells.nx * cells.ny * cells.nz
-    begin = offset[g]
-    end = offset[g + 1]
-    for c in range(count + 1):
-        start_out[g, c] = 0
-    farthest = float(0.0)
-    for i in range(begin, end):
-        p = points[i]
-        farthest = wp.max(farthest, wp.length_sq(p - last[i]))
-        last[i] = p
-        c = cell_of(p, cells)
-        cell[i] = c
-        start_out[g, c] = start_out[g, c] + 1
-    odometer[g] = odometer[g] + wp.float64(wp.sqrt(farthest))
-    total = begin
-    for c in range(count + 1):
-        total = total + start_out[g, c]
-        start_out[g, c] = total
-    # Backwards from each cell's end keeps the order within a cell.
-    for k in range(end - begin):
-        i = end - 1 - k
-        slot = start_out[g, cell[i]] - 1
-        start_out[g, cell[i]] = slot
-        order_out[slot] = i
-        sorted_out[slot] = points[i]
+    sort_group(g, offset[g], offset[g + 1], cells, points, cell, last, odometer, start_out, order_out, sorted_out)
 
 
 @wp.kernel
@@ -107,7 +162,10 @@ def _measure_moves(
 ):
     """One thread a point."""
     i = wp.tid()
-    wp.atomic_max(farthest, group[i], wp.length(points[i] - last[i]))
+    moved = wp.length(points[i] - last[i])
+    if not moved < 3.0e38:
+        moved = wp.inf  # a move that is no number: no bound holds any more
+    wp.atomic_max(farthest, group[i], moved)
     last[i] = points[i]
 
 
@@ -155,15 +213,15 @@ def _place_points(
     sorted_out[slot] = points[i]
 
 
-def fit_cells(lower: np.ndarray, upper: np.ndarray, points_per_group: int) -> Cells:
-    """Cells for a box, about eight a point of a group, at most 2^18; a flat box gets a few layers.
+def fit_cells(lower: np.ndarray, upper: np.ndarray, wanted: float) -> Cells:
+    """Cubic cells for a box, about as many as wanted, but 8 to 2^18; a flat box gets a few layers.
 
     Args:
         lower, upper: corners of the box, shape (3,).
     """
     widest = max(float((upper - lower).max()), 1e-6)
     extent = np.maximum(upper - lower, 0.02 * widest)
-    wanted = min(max(_CELLS_PER_POINT * points_per_group, 8.0), _CELLS_MAX)
+    wanted = min(max(wanted, 8.0), _CELLS_MAX)
     size = float(np.cbrt(extent.prod() / wanted))
     count = np.maximum(np.floor(extent / size).astype(int), 1)
     cells = Cells()
@@ -191,7 +249,8 @@ class PointGrid:
         if box is None:
             finite = points.numpy()[np.isfinite(points.numpy()).all(axis=1)].astype(float)
             box = np.stack([finite.min(axis=0), finite.max(axis=0)]) if len(finite) else np.zeros((2, 3))
-        self.cells = fit_cells(box[0], box[1], int(np.max(sizes)))
+        per_point = _CELLS_PER_POINT["cpu" if device.is_cpu else "cuda"]
+        self.cells = fit_cells(box[0], box[1], per_point * int(np.max(sizes)))
         cell_count = self.cells.nx * self.cells.ny * self.cells.nz
         self.odometer = wp.zeros(len(sizes), dtype=wp.float64, device=device)
         self.start = wp.zeros((len(sizes), cell_count + 1), dtype=wp.int32, device=device)
@@ -203,6 +262,10 @@ class PointGrid:
         self._cell = wp.zeros(len(points), dtype=wp.int32, device=device)
         self._last = wp.clone(points)
         self._farthest = wp.zeros(len(sizes), dtype=wp.float32, device=device)
+
+    def forget(self) -> None:
+        """Begin to measure moves anew; searches must forget, too."""
+        self.odometer.zero_()
 
     def build(self, first: int = 0, last: int | None = None) -> None:
         """Sort the points of groups ``first .. last`` (last excluded; None: all) into their cells.
@@ -216,7 +279,7 @@ class PointGrid:
         count = (len(self.offset) - 1 if last is None else last) - first
         moved = [self._cell, self._last, self.odometer]
         targets = [self.start, self.order, self.sorted]
-        launch(_sort_group, count, [first, self.cells, self.points, self._offset, *moved, *targets], device)
+        launch(_sort_groups, count, [first, self.cells, self.points, self._offset, *moved, *targets], device)
 
     def build_in_parallel(self) -> None:
         """The same for all groups, one thread a point: what CUDA runs."""

@@ -58,6 +58,15 @@ class ConjugateGradients:
         self._r_sq = wp.zeros((steps + 1, systems), dtype=dtype, device=device)
         self._p_ap = wp.zeros((steps + 1, systems), dtype=dtype, device=device)
 
+    @property
+    def start(self) -> wp.array:
+        """Where the next solve starts: the last solution, compact nodes."""
+        return self._x
+
+    def forget(self) -> None:
+        """Let the next solve start from zero."""
+        self._x.zero_()
+
     def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None:
         """Solve systems ``first .. last`` (last excluded); stepwise all of them.
 

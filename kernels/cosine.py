@@ -20,81 +20,113 @@ wp.set_module_options(MODULE_OPTIONS)
 
 _RESOLUTION_MAX = 31  # level 16, the finest that the configuration allows
 
-# Six passes along x, y, z and back. Basis vector k of a path is even or odd about its middle as k is, so sums and
-# differences of mirrored entries need only half of the matrix: h = n // 2 odd and m = n - h even vectors (n is odd).
-# `halves` holds, one behind the other, the even half (m x m) and the odd half (h x h), then both transposed. Four
-# outputs at a time, so that every register is loaded once for four products. CPU only; CUDA has its own kernel below.
+# Along x for the whole level; along y, z and back again plane by plane, each of which stays in the nearest cache; back
+# along x. Basis vector k of a path is even or odd about its middle as k is, so sums and differences of mirrored entries
+# need only half of the matrix: h = n // 2 odd and m = n - h even vectors (n is odd). `halves` holds, one behind the
+# other, the even half (m x m) and the odd half (h x h), then both transposed. A few lines of nodes are done together,
+# four outputs at a time, so that what is loaded serves several products. A line is read before it is written, so all
+# but the first step happen in place. CPU only; CUDA has its own kernel below.
 _PASSES = """
 #if !defined(__CUDA_ARCH__)
-    typedef float reg __attribute__((vector_size(32), aligned(4)));
+    typedef float one __attribute__((vector_size(32)));
+    #if defined(__AVX512F__)
+    #define LINES 4
+    #else
+    #define LINES 2
+    #endif
+    typedef float many __attribute__((vector_size(32 * LINES)));
     const int n = levels.data[2 * level];
     const int h = n / 2, m = n - h;
     const size_t begin = ((size_t)transition * rhs.shape[1] + levels.data[2 * level + 1]) * 8;
     const float* const mu = eigenvalues.data + eigenvalue_offset.data[level];
-    const float* source = (const float*)rhs.data + begin;
-    float* const one = (float*)scratch.data + begin;
-    float* const two = (float*)solution.data + begin;
-    reg parts[2][MOST], sums[2][MOST];
-    for (int pass = 0; pass < 6; ++pass) {
-        const int axis = pass < 3 ? pass : 5 - pass;
-        const int back = pass >= 3;
-        const int length = axis == 0 ? n * n : (axis == 1 ? n : 1);
-        const int batch = n * n / length;
-        const float* const matrix = halves.data + half_offset.data[level] + (back ? m * m + h * h : 0);
-        float* const target = pass % 2 == 0 ? one : two;
-        for (int b = 0; b < batch; ++b) {
-            const reg* in = (const reg*)source + (size_t)b * n * length;
-            reg* out = (reg*)target + (size_t)b * n * length;
-            for (int c = 0; c < length; ++c) {
-                if (back) {
-                    for (int k = 0; k < m; ++k) parts[0][k] = in[(size_t)(2 * k) * length + c];
-                    for (int k = 0; k < h; ++k) parts[1][k] = in[(size_t)(2 * k + 1) * length + c];
-                } else {
-                    for (int j = 0; j < h; ++j) {
-                        const reg x = in[(size_t)j * length + c], y = in[(size_t)(n - 1 - j) * length + c];
-                        parts[0][j] = x + y; parts[1][j] = x - y;
-                    }
-                    parts[0][h] = in[(size_t)h * length + c];
-                }
-                for (int odd = 0; odd < 2; ++odd) {
-                    const int size = odd ? h : m;
-                    const float* row = matrix + (odd ? m * m : 0);
-                    const reg* const part = parts[odd];
-                    int k = 0;
-                    for (; k + 4 <= size; k += 4, row += 4 * size) {
-                        reg a0 = {}, a1 = {}, a2 = {}, a3 = {};
-                        for (int j = 0; j < size; ++j) {
-                            const reg x = part[j];
-                            a0 += x * row[j]; a1 += x * row[size + j];
-                            a2 += x * row[2 * size + j]; a3 += x * row[3 * size + j];
-                        }
-                        sums[odd][k] = a0; sums[odd][k + 1] = a1; sums[odd][k + 2] = a2; sums[odd][k + 3] = a3;
-                    }
-                    for (; k < size; ++k, row += size) {
-                        reg a = {};
-                        for (int j = 0; j < size; ++j) a += part[j] * row[j];
-                        sums[odd][k] = a;
-                    }
-                }
-                if (back) {
-                    for (int j = 0; j < h; ++j) {
-                        out[(size_t)j * length + c] = sums[0][j] + sums[1][j];
-                        out[(size_t)(n - 1 - j) * length + c] = sums[0][j] - sums[1][j];
-                    }
-                    out[(size_t)h * length + c] = sums[0][h];
-                } else {
-                    for (int k = 0; k < m; ++k) out[(size_t)(2 * k) * length + c] = sums[0][k];
-                    for (int k = 0; k < h; ++k) out[(size_t)(2 * k + 1) * length + c] = sums[1][k];
-                }
+    const float* const matrix = halves.data + half_offset.data[level];
+    float* const result = (float*)solution.data + begin;
+
+    const auto multiply = [&](const auto* part, auto* sums, const float* row, int size) {
+        typedef __remove_cvref(decltype(*part)) reg;
+        int k = 0;
+        for (; k + 4 <= size; k += 4, row += 4 * size) {
+            reg a0 = {}, a1 = {}, a2 = {}, a3 = {};
+            for (int j = 0; j < size; ++j) {
+                const reg x = part[j];
+                a0 += x * row[j]; a1 += x * row[size + j];
+                a2 += x * row[2 * size + j]; a3 += x * row[3 * size + j];
             }
+            sums[k] = a0; sums[k + 1] = a1; sums[k + 2] = a2; sums[k + 3] = a3;
         }
-        if (pass == 2) {
-            reg* v = (reg*)target;
-            for (int x = 0; x < n; ++x) for (int y = 0; y < n; ++y) for (int z = 0; z < n; ++z)
-                *v++ *= 1.0f / (1.0f + lambda_ * (mu[x] + mu[y] + mu[z]));
+        for (; k < size; ++k, row += size) {
+            reg a = {};
+            for (int j = 0; j < size; ++j) a += part[j] * row[j];
+            sums[k] = a;
         }
-        source = target;
+    };
+    // A line of registers, `step` floats from one node to the next.
+    const auto line = [&](auto reg_of, bool back, int step, auto load, auto store) {
+        typedef decltype(reg_of) reg;
+        reg even[MOST], odd[MOST], even_sums[MOST], odd_sums[MOST];
+        const float* const half = matrix + (back ? m * m + h * h : 0);
+        if (back) {
+            for (int k = 0; k < h; ++k) { even[k] = load(2 * k * step); odd[k] = load((2 * k + 1) * step); }
+            even[h] = load(2 * h * step);
+        } else {
+            for (int j = 0; j < h; ++j) {
+                const reg x = load(j * step), y = load((n - 1 - j) * step);
+                even[j] = x + y; odd[j] = x - y;
+            }
+            even[h] = load(h * step);
+        }
+        multiply(even, even_sums, half, m);
+        multiply(odd, odd_sums, half + m * m, h);
+        if (back) {
+            for (int j = 0; j < h; ++j) {
+                store(j * step, even_sums[j] + odd_sums[j]);
+                store((n - 1 - j) * step, even_sums[j] - odd_sums[j]);
+            }
+            store(h * step, even_sums[h]);
+        } else {
+            for (int k = 0; k < h; ++k) { store(2 * k * step, even_sums[k]); store((2 * k + 1) * step, odd_sums[k]); }
+            store(2 * h * step, even_sums[h]);
+        }
+    };
+    // Lines side by side, `apart` floats from one to the next: as many as registers hold, then one by one. Six copies
+    // would be no faster, and take six times as long to compile.
+    const auto lines = [&](const float* in, float* out, int count, int apart, int step, bool back)
+        __attribute__((noinline)) {
+        const auto some = [&](auto reg_of, int c, int together) {
+            typedef decltype(reg_of) reg;
+            const float* const source = in + c * apart;
+            float* const target = out + c * apart;
+            line(reg_of, back, step,
+                [&](int at) {
+                    reg v;
+                    for (int k = 0; k < together; ++k)
+                        __builtin_memcpy((float*)&v + 8 * k, source + k * apart + at, 32);
+                    return v;
+                },
+                [&](int at, reg v) {
+                    for (int k = 0; k < together; ++k)
+                        __builtin_memcpy(target + k * apart + at, (float*)&v + 8 * k, 32);
+                });
+        };
+        int c = 0;
+        for (; c + LINES <= count; c += LINES) some(many{}, c, LINES);
+        for (; c < count; ++c) some(one{}, c, 1);
+    };
+    const int row = 8 * n, plane = row * n;
+    lines((const float*)rhs.data + begin, result, n * n, 8, plane, false);
+    for (int x = 0; x < n; ++x) {
+        float* const at = result + x * plane;
+        lines(at, at, n, 8, row, false);
+        lines(at, at, n, row, 8, false);
+        float* v = at;
+        for (int y = 0; y < n; ++y) for (int z = 0; z < n; ++z, v += 8) {
+            const float share = 1.0f / (1.0f + lambda_ * (mu[x] + mu[y] + mu[z]));
+            for (int c = 0; c < 8; ++c) v[c] *= share;
+        }
+        lines(at, at, n, row, 8, true);
+        lines(at, at, n, 8, row, true);
     }
+    lines(result, result, n * n, 8, plane, true);
 #endif
 """.replace("MOST", str(_RESOLUTION_MAX // 2 + 1))
 
@@ -110,7 +142,6 @@ def solve_level(
     eigenvalues: wp.array(dtype=wp.float32),
     eigenvalue_offset: wp.array(dtype=wp.int32),
     rhs: wp.array2d(dtype=node8),
-    scratch: wp.array2d(dtype=node8),
     solution: wp.array2d(dtype=node8),
 ): ...
 
@@ -126,17 +157,16 @@ def _solve_levels(
     eigenvalues: wp.array(dtype=wp.float32),
     eigenvalue_offset: wp.array(dtype=wp.int32),
     rhs: wp.array2d(dtype=node8),
-    # Scratch and out:
-    scratch: wp.array2d(dtype=node8),
+    # Out:
     solution_out: wp.array2d(dtype=node8),
 ):
-    """CPU: one thread a level of a transition, all six passes."""
+    """CPU: one thread a level of a transition."""
     count = lambdas.shape[0]
     k = wp.tid()
     level = k % count
     solve_level(
         first_transition + k // count, level, levels, lambdas[level], halves, half_offset,
-        eigenvalues, eigenvalue_offset, rhs, scratch, solution_out,
+        eigenvalues, eigenvalue_offset, rhs, solution_out,
     )  # fmt: skip
 
 
@@ -229,7 +259,9 @@ class CosineSolver:
         eigenvalues = upload(mu)
         self._halves = [*upload([mirrored_halves(n) for n in resolution]), *eigenvalues]
         self._tables = [*upload([cosine_matrix(n) for n in resolution]), *eigenvalues]
-        self._scratch = wp.zeros((transition_count, levels.node_count), dtype=node8, device=device)
+        # The CPU solves in place.
+        shape = (transition_count, levels.node_count)
+        self._scratch = None if device.is_cpu else wp.zeros(shape, dtype=node8, device=device)
 
     def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None:
         """Solve for transitions ``first .. last`` (last excluded); on CUDA for all of them.
@@ -238,7 +270,7 @@ class CosineSolver:
             rhs, solution_out: shape (S, M) node8, not the same array.
         """
         if self._device.is_cpu:
-            inputs = [first, self._levels, self._lambdas, *self._halves, rhs, self._scratch, solution_out]
+            inputs = [first, self._levels, self._lambdas, *self._halves, rhs, solution_out]
             launch(_solve_levels, (last - first) * len(self._lambdas), inputs, self._device)
             return
         self.solve_by_axis(rhs, solution_out)
@@ -246,7 +278,7 @@ class CosineSolver:
     def solve_by_axis(self, rhs: wp.array, solution_out: wp.array) -> None:
         """The same, one launch a pass: what CUDA runs."""
         shared = [self._levels, self._node_level, self._lambdas, *self._tables]
-        targets = (self._scratch, solution_out)
+        targets = (wp.zeros_like(rhs) if self._scratch is None else self._scratch, solution_out)
         source = rhs
         for step, (axis, backwards) in enumerate([(0, 0), (1, 0), (2, 0), (2, 1), (1, 1), (0, 1)]):
             target = targets[step % 2]

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from warpdef.kernels.cells import Cells, PointGrid, axis_cell
+from warpdef.kernels.cells import Cells, PointGrid, first_candidate
 from warpdef.kernels.launching import MODULE_OPTIONS, launch, require
+from warpdef.kernels.packets import QUERIES_PER_THREAD, nearest_in_packets
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -22,27 +23,8 @@ wp.set_module_options(MODULE_OPTIONS)
 _WIDEN = wp.constant(1.0001)
 # Error of a float32 distance between points in the cube, and of a float32 move per unit travelled.
 _ROUNDING = wp.constant(2.0e-6)
-_MARGIN_IN_CELLS = 0.15
-
-
-@wp.func
-def first_candidate(q: wp.vec3, group: int, cells: Cells, start: wp.array2d(dtype=wp.int32)) -> int:
-    """Slot of some point in the nearest ring of cells that has one; -1 if the group is empty."""
-    cx = axis_cell(q[0], cells.lower[0], cells.size, cells.nx)
-    cy = axis_cell(q[1], cells.lower[1], cells.size, cells.ny)
-    cz = axis_cell(q[2], cells.lower[2], cells.size, cells.nz)
-    found = int(-1)
-    ring = int(0)
-    while found < 0 and ring < wp.max(cells.nx, wp.max(cells.ny, cells.nz)):
-        x0 = wp.max(cx - ring, 0)
-        x1 = wp.min(cx + ring, cells.nx - 1)
-        for z in range(wp.max(cz - ring, 0), wp.min(cz + ring, cells.nz - 1) + 1):
-            for y in range(wp.max(cy - ring, 0), wp.min(cy + ring, cells.ny - 1) + 1):
-                row = (z * cells.ny + y) * cells.nx
-                if start[group, row + x1 + 1] > start[group, row + x0]:
-                    found = start[group, row + x0]
-        ring = ring + 1
-    return found
+# A ball a little too wide costs a little more, and lets the next search be one comparison. A packet's is wider anyway.
+_MARGIN_IN_CELLS, _MARGIN_OF_PACKETS = 0.15, 0.05
 
 
 # The ball around query q through a first candidate and `margin` beyond, row of cells by row of cells. Writes the
@@ -177,20 +159,26 @@ class NearestSearch:
     Args:
         grid: the targets. queries: shape (Q,) vec3, cube units, read at every ``run``.
         query_group: shape (Q,) int32, the group a query asks; negative: it asks nothing and the answer is -1.
+        one_by_one: every query in a thread of its own, the way of CUDA, on the CPU too.
 
     ``index``, shape (Q,) int32, holds the answers, counted over all groups; -1 for none.
     """
 
-    def __init__(self, grid: PointGrid, queries: wp.array, query_group: wp.array) -> None:
+    def __init__(self, grid: PointGrid, queries: wp.array, query_group: wp.array, one_by_one: bool = False) -> None:
         require(queries, "queries", wp.vec3, (None,))
         require(query_group, "query_group", wp.int32, (len(queries),))
         device, count = queries.device, len(queries)
         self.index = wp.full(count, -1, dtype=wp.int32, device=device)
         self._grid, self._queries, self._group = grid, queries, query_group
-        self._margin = _MARGIN_IN_CELLS * grid.cells.size
+        self._in_packets = device.is_cpu and not one_by_one
+        self._margin = (_MARGIN_OF_PACKETS if self._in_packets else _MARGIN_IN_CELLS) * grid.cells.size
         self._anchor = wp.zeros(count, dtype=wp.vec3, device=device)
         self._bound = wp.zeros(count, dtype=wp.float32, device=device)
         self._reading = wp.zeros(count, dtype=wp.float64, device=device)
+
+    def forget(self) -> None:
+        """Let the next search begin from nothing."""
+        self.index.fill_(-1)
 
     def run(self, begin: int = 0, count: int | None = None) -> None:
         """Answer queries ``begin .. begin + count`` (None: all) for the grid as last built."""
@@ -198,5 +186,10 @@ class NearestSearch:
         targets = [g.cells, g.points, g.start, g.order, g.sorted, g.odometer, self._margin]
         known = [self._anchor, self._reading, self._bound]
         count = len(self.index) - begin if count is None else count
-        inputs = [begin, self._queries, self._group, *targets, *known, self.index]
-        launch(_nearest, count, inputs, self._queries.device)
+        asked = [self._queries, self._group, *targets, *known, self.index]
+        device = self._queries.device
+        if self._in_packets:
+            runs = -(-count // QUERIES_PER_THREAD)
+            launch(nearest_in_packets, runs, [begin, count, QUERIES_PER_THREAD, *asked], device)
+            return
+        launch(_nearest, count, [begin, *asked], device)

@@ -23,10 +23,8 @@ class StandInMethod:
     error: BaseException | None = None
     interrupted: bool = False
 
-    def reconstruct(self, sequence, config: Config, *, device="auto", threads=None, template=None, callback=None):
-        self.calls.append(
-            {"sequence": sequence, "config": config, "device": device, "threads": threads, "template": template}
-        )
+    def reconstruct(self, sequence, config: Config, *, callback=None, **others):
+        self.calls.append({"sequence": sequence, "config": config, **others})
         if callback is not None:
             callback(Progress("template", message="frame 0 has no closed surface; trying frame 1"))
             for iteration in range(1, 4):
@@ -44,7 +42,7 @@ class StandInMethod:
             "warnings": ["frame 0 has no closed surface"],
         }
         first = sequence.points[0][:4]
-        vertices = np.stack([first + t for t in range(len(sequence))]).astype(np.float32)
+        vertices = np.stack([first + t for t in range(sequence.frame_count)]).astype(np.float32)
         faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
         return Reconstruction(vertices, faces, 1, config, report, [{"iteration": i} for i in range(3)])
 

@@ -33,6 +33,8 @@ def other_value(key: str, default: object) -> object:
         "keyframe.choice": "first",
         "template.mesh": "mesh.ply",
         "template.backend": "pymeshlab",
+        "template.surface": "open",
+        "template.method": "tetrahedra",
         "sobolev.solver": "cg",
         "loss.reduction": "mean",
         "loss.robust_power": 4,

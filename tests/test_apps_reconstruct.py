@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+import synthetic
 from stand_in_method import StandInMethod
 
 from warpdef.apps.main import run
+from warpdef.files import write_ply
 from warpdef.files.config_file import load_config
-from warpdef.files.run_folder import load_run
+from warpdef.files.run_folder import RunFolder, load_run
 
 
 @pytest.fixture
@@ -106,3 +109,101 @@ def test_a_defect_of_ours_keeps_its_traceback(method, clouds: Path, tmp_path: Pa
     with pytest.raises(ZeroDivisionError):
         run(["reconstruct", str(clouds), "-o", str(tmp_path / "out")])
     assert list(tmp_path.iterdir()) == [clouds]
+
+
+# Cut short, and gone on with.
+
+
+@pytest.fixture
+def real(tmp_path: Path) -> list[str]:
+    """A small real problem on the command line."""
+    moving = synthetic.turning_ellipsoid(3, 200, np.random.default_rng(0), subdivisions=1)
+    np.savez(tmp_path / "clouds.npz", points=np.stack(moving.clouds), normals=np.stack(moving.normals))
+    write_ply(tmp_path / "mesh.ply", moving.vertices[1], moving.faces)
+    small = ["--keyframe", "1", "--grid.levels", "2", "--iterations", "40", "--optimiser.warmup", "10"]
+    small += ["--refine.iterations", "2", "--template", str(tmp_path / "mesh.ply")]
+    return [str(tmp_path / "clouds.npz"), "-o", str(tmp_path / "out"), *small]
+
+
+def device(*more: str) -> list[str]:
+    return ["--device", "cpu", "--threads", "1", *more]
+
+
+def cut(real: list[str], monkeypatch: pytest.MonkeyPatch, *more: str) -> None:
+    """A run that dies while it writes its result."""
+
+    def die(*_args: object, **_kwargs: object) -> None:
+        raise MemoryError
+
+    with monkeypatch.context() as patch, pytest.raises(MemoryError):
+        patch.setattr(RunFolder, "save", die)
+        patch.setattr("warpdef.fit.saving._SHARE", 1e9)  # however slow the disk, a checkpoint at every look
+        run(["reconstruct", *real, *device("--checkpoint-seconds", "0", *more)])
+
+
+def test_resume_goes_on_with_what_was_cut_short(real, tmp_path: Path, monkeypatch, capfd) -> None:
+    assert run(["reconstruct", *real, *device("--frames", ":3")]) == 0
+    first = load_run(tmp_path / "out")
+    shutil.rmtree(tmp_path / "out")
+    cut(real, monkeypatch, "--frames", ":3")
+    told = capfd.readouterr().err.splitlines()[-1]
+    assert told == f"warpdef: the last checkpoint is kept; go on with: warpdef reconstruct --resume {tmp_path / 'out'}"
+    assert (tmp_path / ".out.checkpoint").exists()
+    assert run(["reconstruct", "--resume", str(tmp_path / "out"), *device()]) == 0
+    second = load_run(tmp_path / "out")
+    np.testing.assert_array_equal(second.meshes.vertices, first.meshes.vertices)
+    assert second.config == first.config and second.config.frames == ":3"
+    assert second.report["resumed"] == [40] and second.report["stopped"] is None
+    assert not (tmp_path / ".out.checkpoint").exists()
+
+
+def test_an_unfinished_run_is_not_begun_anew_by_accident(real, tmp_path: Path, monkeypatch, capfd) -> None:
+    cut(real, monkeypatch)
+    assert run(["reconstruct", *real, *device()]) == 2
+    assert "an unfinished run is kept beside it; go on with --resume" in capfd.readouterr().err
+    assert run(["reconstruct", *real, *device("--overwrite")]) == 0
+    assert not (tmp_path / ".out.checkpoint").exists()
+
+
+def test_resume_to_another_place(real, tmp_path: Path, monkeypatch) -> None:
+    cut(real, monkeypatch)
+    assert run(["reconstruct", "--resume", str(tmp_path / "out"), "-o", str(tmp_path / "new"), *device()]) == 0
+    assert load_run(tmp_path / "new").report["resumed"] == [40]
+    assert not (tmp_path / "out").exists() and not (tmp_path / ".out.checkpoint").exists()
+
+
+@pytest.mark.parametrize("changed", [["--seed", "3"], ["--preset", "paper"], ["--config", "x.toml"]])
+def test_resume_keeps_the_configuration(changed: list[str], tmp_path: Path, capfd) -> None:
+    assert run(["reconstruct", "--resume", str(tmp_path / "out"), *changed]) == 2
+    assert "--resume goes on with the configuration of that run" in capfd.readouterr().err
+
+
+def test_nothing_to_resume(tmp_path: Path, capfd) -> None:
+    assert run(["reconstruct", "--resume", str(tmp_path / "out")]) == 2
+    assert "no checkpoint of an unfinished run is kept there" in capfd.readouterr().err
+
+
+def test_the_input_to_resume_with_has_gone(real, tmp_path: Path, monkeypatch, capfd) -> None:
+    cut(real, monkeypatch)
+    (tmp_path / "clouds.npz").rename(tmp_path / "elsewhere.npz")
+    assert run(["reconstruct", "--resume", str(tmp_path / "out"), *device()]) == 2
+    assert "the input of the run to resume is gone; give its new place before --resume" in capfd.readouterr().err
+    arguments = [str(tmp_path / "elsewhere.npz"), "--resume", str(tmp_path / "out"), *device()]
+    assert run(["reconstruct", *arguments]) == 0
+
+
+def test_a_time_limit_ends_with_a_whole_result_that_can_go_on(real, tmp_path: Path, capfd) -> None:
+    """No time at all: one iteration."""
+    assert run(["reconstruct", *real, *device("--max-seconds", "0.001")]) == 0
+    report = load_run(tmp_path / "out").report
+    assert report["stopped"].startswith("time limit of ") and report["iterations"] == 1
+    told = capfd.readouterr().err.splitlines()[-1]
+    assert told.startswith("warpdef: stopped (time limit of ") and told.endswith(f"--resume {tmp_path / 'out'}")
+    assert run(["reconstruct", "--resume", str(tmp_path / "out"), *device()]) == 0
+    assert load_run(tmp_path / "out").report["iterations"] == 40
+
+
+def test_a_run_too_large_is_refused(real, tmp_path: Path, capfd) -> None:
+    assert run(["reconstruct", *real, *device("--memory-limit", "0.01")]) == 2
+    assert "--memory-limit 0 tries all the same" in capfd.readouterr().err
+    assert run(["reconstruct", *real, *device("--memory-limit", "0")]) == 0

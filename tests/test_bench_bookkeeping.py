@@ -87,6 +87,9 @@ def test_exponents_of_known_growth() -> None:
     assert found["ms"] == pytest.approx(1.0)
     assert found["arrays_mb"] == pytest.approx(0.0)
     assert found["peak_mb_top"] == pytest.approx(0.5)
+    assert "cpu_ms" not in found  # not measured on CUDA
+    found = exponents([{**p, "cpu_ms": 3.0 * p["value"] ** 1.5} for p in points])
+    assert found["cpu_ms"] == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize(("sizes", "values"), [([5, 5], [1, 2]), ([1, 2], [1, 0]), ([1, 2], [1])])
@@ -102,6 +105,11 @@ def test_growth_is_judged_where_it_is_promised() -> None:
     assert within_bound(sweep("points", 1.05)) is True
     assert within_bound(sweep("points", 1.2)) is False
     assert within_bound(sweep("levels", 3.0)) is None
+    # Processor time where there is one: wall time tells of the machine's other programs, too.
+    for cpu_ms, within in ((1.0, True), (1.2, False)):
+        disturbed = sweep("points", 5.0)
+        disturbed["exponents"]["cpu_ms"] = cpu_ms
+        assert within_bound(disturbed) is within
 
 
 def test_sweeps_vary_one_thing() -> None:

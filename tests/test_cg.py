@@ -112,6 +112,9 @@ def test_the_start_is_the_last_solution(sphere, device: str, stepwise: bool, rng
     solution = solve(near)
     assert solve.residuals(near, solution).max() <= 1.1e-4
     assert 0 < solve.solver.iterations.numpy()[0] < cold
+    solve.solver.forget()
+    solve(rhs)
+    assert solve.solver.iterations.numpy()[0] == cold
 
 
 def _for(graph_and_size: tuple[Graph, int], dtype=wp.vec3) -> tuple:

@@ -18,13 +18,17 @@ FREE = ([], [True, False])
 BOUNDS: dict[str, tuple[list, list]] = {
     "frames": (["3", "a:b", "1:2:0", "1:2:3:4", "1.5:2"], ["", ":", "10:27", "::2", "-5:", "27:10:-1"]),
     "points": ([-1, 1, 9], [0, 10, 5000]),
+    "drop_strays": FREE,
     "fill": ([0, -0.5, 1.01], [0.5, 1]),
     "seed": ([-1], [0, 2**40]),
     "keyframe.choice": (["last", "", "-1", "1.5"], ["auto", "first", "middle", "0", "12"]),
     "keyframe.voxels": ([0, 1025], [1, 1024]),
     "keyframe.gamma": FROM_ZERO,
+    "keyframe.coverage_min": ([-0.1, 1.1], [0, 1]),
     "template.mesh": ([], ["", "body.ply"]),
     "template.backend": (["open3d", ""], ["auto", "gpytoolbox", "pymeshlab"]),
+    "template.method": (["dmtet", ""], ["poisson", "tetrahedra"]),
+    "template.surface": (["half", ""], ["auto", "closed", "open"]),
     "template.depth": ([-1, 2, 15], [0, 3, 14]),
     "template.screening": FROM_ZERO,
     "template.faces_max": ([19, 0], [20, 10**6]),
@@ -79,6 +83,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "refine.shape_step": ([-0.1, 2], [0, 1.9]),
     "refine.tolerance": ([0, 1, -1e-3], [1e-8, 0.5]),
     "refine.iterations_max": COUNT,
+    "refine.recover": FREE,
 }
 
 

@@ -3,38 +3,65 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import reference
 import synthetic
 import warp as wp
 import witness
 from gradients import assert_gradients_close, finite_differences
 
-from warpdef.kernels.isometry import isometry
+from warpdef.kernels.graphs import mesh_graph
+from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
 from warpdef.mesh import unique_edges
+
+by_vertex = {"on": False}
+
+
+@pytest.fixture(params=["edge by edge", "vertex by vertex"], autouse=True)
+def _both_ways(request: pytest.FixtureRequest, device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The way of CUDA, which the CPU can go, too, and the CPU's own."""
+    wanted = request.param == "vertex by vertex"
+    if wanted and device != "cpu":
+        pytest.skip("the CPU's own way")
+    monkeypatch.setitem(by_vertex, "on", wanted)
 
 
 def run(vertices: np.ndarray, edges: np.ndarray, device: str, share: float = 1.0, weight: float = 1.0, split: int = 7):
     """Losses (T,) and gradient (T, V, 3), in two spans."""
     frames, count = vertices.shape[:2]
     moving = wp.array(vertices.astype(np.float32), dtype=wp.vec3, ndim=2, device=device)
+    adj = wp.zeros((frames, count), dtype=wp.vec3, device=device)
+    if by_vertex["on"]:
+        graph = mesh_graph(edges, count, 1.0)
+        row, column = (wp.array(a, dtype=wp.int32, device=device) for a in (graph.row, graph.column))
+        paths = wp.full((count, 3, path_width(frames)), np.nan, dtype=wp.float32, device=device)
+        loss = wp.zeros((2, frames), dtype=wp.float64, device=device)
+        adj.fill_(wp.vec3(7.0, 7.0, 7.0))  # overwritten
+        split = min(split, count - 1)
+        spans = [(0, 0, split), (1, split, count - split)]
+        for _, begin, size in spans:
+            lay_paths(begin, size, moving, paths)
+        for part, begin, size in spans:
+            isometry_of_vertices(begin, size, paths, row, column, share, weight, part, loss, adj)
+        return loss.numpy().sum(axis=0), adj.numpy()
     pairs = wp.array(edges.astype(np.int32), dtype=wp.int32, ndim=2, device=device)
     loss = wp.zeros(frames, dtype=wp.float64, device=device)
-    adj = wp.zeros((frames, count), dtype=wp.vec3, device=device)
     total = frames * len(edges)
     for begin, size in ((0, split), (split, total - split)):
         isometry(begin, size, moving, pairs, share, weight, loss, adj)
     return loss.numpy(), adj.numpy()
 
 
-def stretched(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Four frames of a small sphere, every edge of another length in every frame."""
+def stretched(rng: np.random.Generator, frames: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    """Some frames of a small sphere, every edge of another length in every frame."""
     sphere, faces = synthetic.icosphere(0)
-    vertices = sphere[None] + rng.normal(size=(4, *sphere.shape)) * 0.2
+    vertices = sphere[None] + rng.normal(size=(frames, *sphere.shape)) * 0.2
     return vertices.astype(np.float32).astype(np.float64), unique_edges(faces)
 
 
-def test_loss_and_gradient_match_the_twin(device: str, rng: np.random.Generator) -> None:
-    vertices, edges = stretched(rng)
+@pytest.mark.parametrize("frames", [2, 4, 14, 15, 28, 31])  # a register holds fourteen
+def test_loss_and_gradient_match_the_twin(frames: int, device: str, rng: np.random.Generator) -> None:
+    vertices, edges = stretched(rng, frames)
     loss, adj = run(vertices, edges, device, share=0.01, weight=250.0)
     np.testing.assert_allclose(loss[:-1], 0.01 * reference.isometry(vertices, edges), rtol=1e-5)
     assert loss[-1] == 0

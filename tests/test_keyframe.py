@@ -7,7 +7,7 @@ import pytest
 
 from warpdef.config import KeyframeConfig
 from warpdef.errors import InputError
-from warpdef.template.keyframe import occupied_voxels, rank_keyframes
+from warpdef.template.keyframe import compare_frames, occupied_voxels, rank_keyframes, spread_out
 
 
 def clouds_of(counts: list[int]) -> list[np.ndarray]:
@@ -63,3 +63,45 @@ def test_the_middle_of_an_even_number_of_frames_is_the_earlier_one():
 def test_an_index_beyond_the_sequence_names_the_range():
     with pytest.raises(InputError, match=r"0\.\.4, got 5"):
         rank_keyframes(clouds_of([10] * 5), KeyframeConfig(choice="5", voxels=8))
+
+
+def ball(rng: np.random.Generator, count: int, radius: float = 0.4) -> np.ndarray:
+    x = rng.normal(size=(count, 3))
+    return radius * x / np.linalg.norm(x, axis=1, keepdims=True)
+
+
+def test_frames_that_show_half_of_the_surface_come_last(rng):
+    clouds = [ball(rng, 1500) for _ in range(7)]
+    # As many points as the others have, so that fine voxels see no difference.
+    clouds[3] = ball(rng, 3000)
+    clouds[3] = clouds[3][clouds[3][:, 2] > 0]
+    ranked = rank_keyframes(clouds, KeyframeConfig(voxels=512))
+    assert ranked[-1].frame == 3 and not ranked[-1].full and ranked[-1].coverage < 0.7
+    assert ranked[0].full and "1 frames show less than 80%" in ranked[0].why
+    assert rank_keyframes(clouds, KeyframeConfig(voxels=512, coverage_min=0))[-1].frame != 3
+
+
+def test_the_frame_in_which_objects_lie_apart_is_taken(rng):
+    def pair(gap: float) -> np.ndarray:
+        return np.concatenate([ball(rng, 800, 0.2), ball(rng, 800, 0.2) + [0.4 + gap, 0, 0]])
+
+    clouds = [pair(0.0), pair(0.0), pair(0.0), pair(0.01), pair(0.3)]
+    assert list(compare_frames(clouds)[1]) == [1, 1, 1, 1, 2]
+    ranked = rank_keyframes(clouds, KeyframeConfig())
+    assert ranked[0].frame == 4 and ranked[0].objects == 2
+    assert "2 objects lie apart there, which touch in other frames" in ranked[0].why
+
+
+def test_further_candidates_are_no_neighbours_of_the_first(rng):
+    ranked = rank_keyframes([ball(rng, 600) for _ in range(33)], KeyframeConfig())
+    chosen = spread_out(ranked, 4)
+    assert chosen[0] is ranked[0] and len(chosen) == 4
+    assert np.diff(sorted(c.frame for c in chosen)).min() >= 3
+    assert spread_out(ranked[:2], 4)[1] is ranked[1]
+
+
+def test_empty_frames_are_no_keyframes(rng):
+    clouds = [ball(rng, 200), np.zeros((0, 3)), ball(rng, 200)]
+    assert sorted(c.frame for c in rank_keyframes(clouds, KeyframeConfig())) == [0, 2]
+    with pytest.raises(InputError, match="frame 1 has no usable points"):
+        rank_keyframes(clouds, KeyframeConfig(choice="1"))

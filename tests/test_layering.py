@@ -185,7 +185,7 @@ def test_a_broken_arrow_is_found(tmp_path: Path, name: str, text: str) -> None:
     [
         ("kernels__a", "import warp as wp\nimport numpy as np\nimport math\nfrom warpdef.kernels import b"),
         ("warpdef__a", "from warpdef.kernels import b\nimport scipy.spatial"),
-        ("apps__bench", "from warpdef.kernels import b\nfrom warpdef.config import Config"),
+        ("apps__benchmark", "from warpdef.kernels import b\nfrom warpdef.config import Config"),
         ("apps__a", "from warpdef.config import Config\nimport rich"),
     ],
 )

@@ -7,6 +7,7 @@ import pytest
 import reference
 import warp as wp
 
+from warpdef.fit.morton import morton_order
 from warpdef.kernels.cells import PointGrid, fit_cells
 from warpdef.kernels.neighbours import NearestSearch
 
@@ -15,11 +16,20 @@ def upload(points: np.ndarray, device: str) -> wp.array:
     return wp.array(np.ascontiguousarray(points, np.float32).reshape(-1, 3), dtype=wp.vec3, device=device)
 
 
+way = {"one_by_one": False}
+
+
+@pytest.fixture(params=["sixteen at a time", "one by one"], autouse=True)
+def _both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The CPU's way and that of CUDA, which the CPU can go, too."""
+    monkeypatch.setitem(way, "one_by_one", request.param == "one by one")
+
+
 def search(grid: PointGrid, queries: np.ndarray, group: np.ndarray) -> NearestSearch:
     """A search that knows nothing yet."""
     device = grid.points.device
     groups = wp.array(np.asarray(group, dtype=np.int32), dtype=wp.int32, device=device)
-    return NearestSearch(grid, upload(queries, device), groups)
+    return NearestSearch(grid, upload(queries, device), groups, **way)
 
 
 def find(grid: PointGrid, queries: np.ndarray, group: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
@@ -83,7 +93,7 @@ def test_exact_against_brute_force(kind: str, device: str, rng: np.random.Genera
 def test_exact_for_cells_of_every_size(per_point: float, device: str, rng: np.random.Generator) -> None:
     targets, queries = targets_of("uniform", 300, rng), queries_everywhere(rng)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("warpdef.kernels.cells._CELLS_PER_POINT", per_point)
+        patch.setattr("warpdef.kernels.cells._CELLS_PER_POINT", {"cpu": per_point, "cuda": per_point})
         grid = PointGrid(upload(targets, device), [len(targets)])
     wanted = max(300 * per_point, 8)
     assert wanted / 8 <= grid.cells.nx * grid.cells.ny * grid.cells.nz <= wanted
@@ -110,12 +120,51 @@ def test_exact_wherever_the_box_is(box: list, device: str, rng: np.random.Genera
 
 def test_the_number_of_cells_stays_within_its_bound() -> None:
     lower, upper = np.array([-1.0, -0.5, 0.0]), np.array([1.0, 0.5, 0.3])
-    found = [fit_cells(lower, upper, n) for n in (1, 100, 10_000, 10**6, 10**8)]
+    found = [fit_cells(lower, upper, 8.0 * n) for n in (1, 100, 10_000, 10**6, 10**8)]
     counts = [c.nx * c.ny * c.nz for c in found]
     assert counts == sorted(counts) and counts[-1] <= 2**18
     for c in found:
         covered = np.array([c.nx, c.ny, c.nz]) * c.size
         assert (np.array(c.lower) <= lower + 1e-6).all() and (np.array(c.lower) + covered >= upper - 1e-6).all()
+
+
+@pytest.mark.parametrize("order", ["along a curve", "at random"])
+@pytest.mark.parametrize("start", ["nothing", "any target"])
+def test_exact_for_many_queries_wherever_their_neighbours_stand(
+    order: str, start: str, device: str, rng: np.random.Generator
+) -> None:
+    """More than a thread takes; as packets of neighbours, of strangers, and of both."""
+    targets, queries = targets_of("clustered", 600, rng), targets_of("clustered", 1500, rng)
+    if order == "along a curve":
+        queries = queries[morton_order(queries)]
+    grid = PointGrid(upload(targets, device), [600])
+    grid.build()
+    known = None if start == "nothing" else rng.integers(0, 600, 1500)
+    assert_nearest(queries, targets, find(grid, queries, np.zeros(1500), known))
+
+
+def test_exact_after_positions_that_were_no_numbers(device: str, rng: np.random.Generator) -> None:
+    """Moves through NaN cannot be measured: nothing known before may be believed after."""
+    targets, queries = targets_of("uniform", 300, rng), targets_of("uniform", 200, rng)
+    grid = PointGrid(upload(targets, device), [300])
+    grid.build()
+    asked = search(grid, queries, np.zeros(200))
+    asked.run()
+    for forget in (False, True):
+        lost = targets.copy()
+        lost[::3] = np.nan
+        grid.points.assign(lost.astype(np.float32))
+        grid.build()
+        if not forget:
+            asked.run()
+        targets[::3] = targets_of("uniform", 100, rng)
+        grid.points.assign(targets.astype(np.float32))
+        if forget:
+            grid.forget()
+            asked.forget()
+        grid.build()
+        asked.run()
+        assert_nearest(queries, targets, asked.index.numpy())
 
 
 def test_groups_do_not_see_each_other(device: str, rng: np.random.Generator) -> None:

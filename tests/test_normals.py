@@ -142,3 +142,10 @@ def test_the_wild_frame_with_given_normals_flipped_in_part(shared_data):
     data = np.load(shared_data / "crane_clouds" / "points.npz")
     _, flipped = repair_normals(data["points"][12], data["normals"][12])
     assert 0.08 * 5000 < flipped < 0.12 * 5000
+
+
+def test_a_flat_open_sheet_gets_one_side(rng):
+    x = rng.uniform(-1, 1, (1200, 2))
+    points = np.column_stack([x, 0.15 * np.sin(3 * x[:, 0])])
+    up = estimate_normals(points)[:, 2] > 0
+    assert up.mean() > 0.99 or up.mean() < 0.01

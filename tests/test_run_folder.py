@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ import pytest
 from warpdef.config import Config, OptimiserConfig
 from warpdef.errors import InputError
 from warpdef.files import read_mesh, read_mesh_frames, read_mesh_sequence, run_folder
+from warpdef.files.disk import sibling
 from warpdef.files.json_text import json_text
 from warpdef.files.run_folder import RunFolder, load_run, write_metrics
 
@@ -342,3 +345,56 @@ def test_json_is_plain(tmp_path):
     assert "\n" not in json_text(value, None)
     with pytest.raises(TypeError):
         json_text({"a": object()})
+
+
+# What a killed process left.
+
+
+def dead_process() -> int:
+    """The number of a process that is no more."""
+    child = subprocess.Popen([sys.executable, "-c", "pass"])
+    child.wait()
+    return child.pid
+
+
+def left_by(process: int, path: Path, ending: str) -> Path:
+    """What that process of this machine would have called a sibling."""
+    return path.with_name(sibling(path, ending).name.replace(f"-{os.getpid():x}-", f"-{process:x}-"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked after")
+def test_leftovers_of_dead_processes_are_cleared(tmp_path):
+    out, dead = tmp_path / "out", dead_process()
+    checkpoint = RunFolder(out, False).checkpoint
+    for process in (dead, os.getpid()):
+        (left_by(process, out, "partial") / "meshes").mkdir(parents=True)
+        left_by(process, checkpoint, "partial").write_text("half")
+        left_by(process, tmp_path / "other", "partial").write_text("not of this run")
+    RunFolder.prepare(out)
+    assert not [name for name in entries(tmp_path) if f"-{dead:x}-" in name and "other" not in name]
+    assert len(entries(tmp_path)) == 4
+
+
+@pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked after")
+def test_killed_between_two_renames(tmp_path):
+    out = save(RunFolder.prepare(tmp_path / "out"))
+    old = left_by(dead_process(), out, "old")
+    out.rename(old)
+    with pytest.raises(InputError, match="already exists"):
+        RunFolder.prepare(out)
+    assert load_run(out).keyframe == 5 and entries(tmp_path) == ["out"]
+    out.rename(old)
+    save(RunFolder(out, False), keyframe=2)  # and after both
+    RunFolder.prepare(out, overwrite=True)
+    assert load_run(out).keyframe == 2 and entries(tmp_path) == ["out"]
+
+
+def test_a_checkpoint_marks_an_unfinished_run(tmp_path):
+    place = RunFolder.prepare(tmp_path / "out")
+    assert place.checkpoint == tmp_path / ".out.checkpoint"
+    place.checkpoint.write_text("state")
+    with pytest.raises(InputError, match="an unfinished run is kept beside it; go on with --resume .*out, or begin"):
+        RunFolder.prepare(tmp_path / "out")
+    assert RunFolder.prepare(tmp_path / "out", overwrite=True).overwrite
+    assert RunFolder.prepare(tmp_path / "out", resume=True).overwrite
+    assert entries(tmp_path) == [".out.checkpoint"]

@@ -11,7 +11,7 @@ import synthetic
 import warp as wp
 
 from warpdef.config import Config
-from warpdef.fit.sobolev import SolveReport, grid_solver, level_lambdas, solver_name, template_solver
+from warpdef.fit.sobolev import SolveReport, grid_solver, level_lambdas, solver_name, template_solvers
 from warpdef.kernels.graphs import mesh_graph
 from warpdef.kernels.levels import LevelTable, node8
 from warpdef.mesh import unique_edges
@@ -78,18 +78,23 @@ def test_grid_solvers_agree_with_dense_matrices(
     assert (report.iterations > 3) == (solver != "cosine")
 
 
-@pytest.mark.parametrize("solver", ["cg", "warp"])
+@pytest.mark.parametrize("solver", ["auto", "cosine", "cg", "warp"])
 def test_template_solvers_agree_with_dense_matrices(solver: str, device: str, rng: np.random.Generator) -> None:
     vertices, faces = synthetic.icosphere(1)
     edges = unique_edges(faces)
     config = configured(solver, tolerance=1e-6)
-    solve = template_solver(config, mesh_graph(edges, len(vertices), 16.0), wp.get_device(device))
-    rhs = rng.normal(size=vertices.shape).astype(np.float32)
-    b = wp.array(rhs, dtype=wp.vec3, device=device)
-    x = wp.zeros_like(b)
-    solve.solve(b, x, 0, 1)
-    expected = np.linalg.solve(reference.smoother(edges, len(vertices), 16.0), rhs.astype(np.float64))
-    np.testing.assert_allclose(x.numpy(), expected, rtol=0, atol=5e-6)
+    both = template_solvers(config, mesh_graph(edges, len(vertices), 16.0), wp.get_device(device))
+    for solve in both:
+        rhs = rng.normal(size=vertices.shape).astype(np.float32)
+        b = wp.array(rhs, dtype=wp.vec3, device=device)
+        x = wp.zeros_like(b)
+        solve.solve(b, x, 0, 1)
+        expected = np.linalg.solve(reference.smoother(edges, len(vertices), 16.0), rhs.astype(np.float64))
+        np.testing.assert_allclose(x.numpy(), expected, rtol=0, atol=5e-6)
+        report = SolveReport(solver)
+        solve.look(report)
+        iterates = solver in ("cg", "warp") or device != "cpu"
+        assert (report.iterations > 3) == iterates == (len(solve.memory()) == 1)
 
 
 @pytest.mark.parametrize("solver", ["cg", "warp"])

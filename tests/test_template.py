@@ -11,8 +11,9 @@ from synthetic import icosphere
 from warpdef.config import Config, KeyframeConfig, TemplateConfig
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.mesh import TriMesh
+from warpdef.template import build as building
 from warpdef.template import choose as template
-from warpdef.template import poisson, topology
+from warpdef.template import poisson, quality, topology
 
 SMALL = TemplateConfig(faces_max=1500)
 
@@ -99,19 +100,20 @@ def test_inverted_normals_are_turned_over_and_told(rng):
     assert "600 of 600 given normals pointed inwards" in built.warnings[0]
 
 
-def test_a_second_body_is_left_out_and_told(rng):
+def test_a_second_body_gets_a_piece_of_its_own_and_crumbs_are_left_out(rng):
     points, normals = ball(rng, 800, (0.3, 0.3, 0.3))
-    small = points[:400] * 0.6 + [0.7, 0, 0]
-    built = template.build(np.concatenate([points, small]), np.concatenate([normals, normals[:400]]), SMALL)
-    assert topology.face_components(built.mesh.faces).max() == 0
-    assert built.mesh.vertices[:, 0].max() < 0.45
-    assert "separate pieces" in built.warnings[0]
-    assert 0.1 < built.report.left_out < 0.5
+    second, crumb = points[:400] * 0.6 + [0.7, 0, 0], points[:15] * 0.2 + [0, 0.8, 0]
+    cloud = np.concatenate([points, second, crumb])
+    built = template.build(cloud, np.concatenate([normals, normals[:400], normals[:15]]), SMALL)
+    assert topology.face_components(built.mesh.faces).max() == 1
+    assert topology.is_watertight(built.mesh.faces)
+    assert built.mesh.vertices[:, 0].max() > 0.8 and built.mesh.vertices[:, 1].max() < 0.4
+    assert built.report.left_out > 0
 
 
 def test_depth_follows_the_spacing_and_an_explicit_depth_is_kept(rng):
     sparse, dense = ball(rng, 500)[0], ball(rng, 8000)[0]
-    assert template.depth_by_spacing(dense) == template.depth_by_spacing(sparse) + 2
+    assert building.depth_by_spacing(dense) == building.depth_by_spacing(sparse) + 2
     assert template.build(*ball(rng), replace(SMALL, depth=5)).report.depth == 5
 
 
@@ -162,8 +164,9 @@ def test_the_first_candidate_that_passes_is_taken_without_a_warning(rng):
 
 
 def test_an_open_best_frame_is_passed_over_and_told(rng):
-    clouds = [ball(rng, 400)[0], cap(rng, 900), ball(rng, 400)[0]]
-    chosen = template.choose_template(clouds, [None] * 3, config())
+    small = ball(rng, 400, (0.5, 0.4, 0.4))[0]
+    clouds = [small, cap(rng, 900), small]
+    chosen = template.choose_template(clouds, [None] * 3, config(surface="closed"))
     assert chosen.keyframe in (0, 2) and chosen.gate.passed
     assert len(chosen.warnings) == 1
     assert "keyframe 1 failed the template gate: " in chosen.warnings[0]
@@ -172,7 +175,7 @@ def test_an_open_best_frame_is_passed_over_and_told(rng):
 
 def test_when_none_passes_the_best_is_used_with_a_warning(rng):
     clouds = [cap(rng) for _ in range(3)]
-    chosen = template.choose_template(clouds, [None] * 3, config(attempts=2))
+    chosen = template.choose_template(clouds, [None] * 3, config(attempts=2, surface="closed"))
     assert not chosen.gate.passed
     assert len(chosen.warnings) == 3
     assert "no keyframe passed the template gate" in chosen.warnings[-1]
@@ -181,7 +184,7 @@ def test_when_none_passes_the_best_is_used_with_a_warning(rng):
 
 
 def test_a_lost_limb_is_told_as_such(rng):
-    body, limb = ball(rng, 800)[0], ball(rng, 100, (0.1, 0.1, 0.1))[0] + [0, 0.9, 0]
+    body, limb = ball(rng, 985)[0], ball(rng, 15, (0.05, 0.05, 0.05))[0] + [0, 0.9, 0]
     chosen = template.choose_template([np.concatenate([body, limb])] * 2, [None] * 2, config(choice="first"))
     assert not chosen.gate.passed
     assert "points are far from its surface; a thin limb may be lost" in chosen.warnings[-1]
@@ -189,9 +192,52 @@ def test_a_lost_limb_is_told_as_such(rng):
 
 def test_the_users_frame_is_not_replaced(rng):
     clouds = [ball(rng)[0], cap(rng), ball(rng)[0]]
-    chosen = template.choose_template(clouds, [None] * 3, config(choice="1"))
+    chosen = template.choose_template(clouds, [None] * 3, config(choice="1", surface="closed"))
     assert chosen.keyframe == 1
     assert "no keyframe passed" in chosen.warnings[-1]
+
+
+def broken_ring(rng: np.random.Generator, gap: float, count: int = 2000) -> np.ndarray:
+    """A torus cut open by a gap along its large circle, with rounded ends: no handle, unless the gap is closed."""
+    angle, around = rng.uniform(0, 2 * np.pi, (2, count))
+    angle = gap / 2 + angle * (1 - gap / (2 * np.pi))
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    tube = 0.6 * ring + 0.2 * (np.cos(around)[:, None] * ring + np.sin(around)[:, None] * [0, 0, 1])
+    ends = []
+    for at, side in ((gap / 2, -1), (2 * np.pi - gap / 2, 1)):
+        forward = side * np.array([-np.sin(at), np.cos(at), 0])
+        cap_points = ball(rng, count // 6, (0.2, 0.2, 0.2))[0]
+        cap_points[cap_points @ forward < 0] *= -1
+        ends.append(cap_points + 0.6 * np.array([np.cos(at), np.sin(at), 0]))
+    return np.concatenate([tube, *ends]) if gap else tube
+
+
+def test_a_frame_without_handles_is_found_among_frames_that_touch_themselves(rng):
+    ring, gapped = broken_ring(rng, 0.0, 1500), broken_ring(rng, 0.9, 900)
+    chosen = template.choose_template([ring, ring, gapped], [None] * 3, config(attempts=3, faces_max=800))
+    assert chosen.keyframe == 2 and chosen.gate.handles == 0 and chosen.warnings == []
+    assert "handles of the template: 0 here, 1 in frame 1, 1 in frame 0" in chosen.why
+
+
+def test_one_handle_is_no_reason_to_begin_at_the_end(rng):
+    vertices, faces = icosphere(2)
+    gate = quality.judge(TriMesh(vertices, faces), vertices, SMALL, 0)
+
+    def made(frame: int, handles: int) -> template.ChosenTemplate:
+        report = building.TemplateReport(backend="none")
+        return template.ChosenTemplate(
+            TriMesh(vertices, faces), frame, "", report, replace(gate, handles=handles), ["its own"]
+        )
+
+    def chosen(*passed: template.ChosenTemplate) -> int:
+        best = template._fewest_handles(list(passed), ["before"], 17)
+        assert best.warnings == ["before", "its own"]
+        return best.keyframe
+
+    assert chosen(made(8, 1), made(0, 0)) == 8
+    assert chosen(made(8, 3), made(0, 0)) == 0
+    assert chosen(made(8, 1), made(12, 0)) == 12
+    assert chosen(made(8, 1), made(10, 1)) == 8
 
 
 def test_useless_given_normals_give_way_to_estimated_ones(rng):

@@ -52,6 +52,28 @@ def test_the_gate_finds_each_fault(dense_sphere):
     assert 0.3 < faults["surface is far from every point"].far_share < 0.5
 
 
+def test_an_open_mesh_is_judged_by_rules_of_its_own(dense_sphere):
+    vertices, faces = icosphere(4)
+    half = faces[vertices[faces].mean(axis=1)[:, 2] > 0]
+    points = dense_sphere[dense_sphere[:, 2] > 0]
+    gate = quality.judge(TriMesh(vertices, half), points, TemplateConfig(), 0, is_open=True)
+    assert gate.passed and not gate.watertight
+    assert (gate.loops, gate.euler, gate.handles) == (1, 1, 0)
+    assert not quality.judge(TriMesh(vertices, half), points, TemplateConfig(), 0).passed
+    assert not quality.judge(TriMesh(vertices, faces), points, TemplateConfig(), 0, is_open=True).passed
+    top = half[vertices[half][:, :, 2].min(axis=1).argmax()]
+    fin = np.concatenate([half, [[top[0], top[1], half[0, 0]]]])
+    gate = quality.judge(TriMesh(vertices, fin), points, TemplateConfig(), 0, is_open=True)
+    assert gate.failures == ("it has edges in more than two faces",)
+
+
+def test_as_many_pieces_as_objects_pass(dense_sphere):
+    vertices, faces = icosphere(3)
+    two = TriMesh(np.concatenate([vertices, vertices + 3]), np.concatenate([faces, faces + len(vertices)]))
+    gate = quality.judge(two, np.concatenate([dense_sphere, dense_sphere + 3]), TemplateConfig(), 0)
+    assert gate.passed and (gate.components, gate.objects, gate.handles) == (2, 2, 0)
+
+
 def test_a_mesh_without_area_is_far_everywhere(dense_sphere):
     gate = gate_of(np.zeros((4, 3)), np.array([[0, 1, 2], [0, 2, 3]]), dense_sphere)
     assert gate.far_share == gate.missed_share == 1.0

@@ -51,15 +51,49 @@ def test_quality_is_one_for_equilateral_triangles_only():
     assert topology.triangle_quality(triangle * 0, np.array([[0, 1, 2]])) == 0.0
 
 
-def test_the_largest_component_is_the_one_with_most_area():
-    small, large = icosphere(3), icosphere(1)
-    vertices = np.concatenate([0.1 * small[0], large[0] + 5])
+def opened(subdivisions: int = 2, height: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
+    """A sphere without the faces above and below that height: two boundary loops."""
+    vertices, faces = icosphere(subdivisions)
+    return topology.compact(vertices, faces[np.abs(vertices[faces].mean(axis=1)[:, 2]) < height])
+
+
+def test_boundaries_are_counted_and_found():
+    vertices, faces = opened()
+    assert topology.boundary_loops(faces) == 2
+    assert topology.boundary_loops(icosphere(2)[1]) == 0
+    assert topology.euler_number(faces) == 0
+    ends = vertices[np.unique(topology.boundary_edges(faces))]
+    assert np.abs(ends[:, 2]).min() > 0.3
+
+
+def test_components_of_faces_and_of_chosen_vertices():
+    small, large = icosphere(2), icosphere(1)
     faces = np.concatenate([small[1], large[1] + len(small[0])])
-    kept, kept_faces, left_out = topology.largest_component(vertices, faces)
     assert len(np.unique(topology.face_components(faces))) == 2
-    np.testing.assert_array_equal(kept, large[0] + 5)
-    np.testing.assert_array_equal(kept_faces, large[1])
-    assert left_out == pytest.approx(0.01, rel=0.2)
+    vertices = small[0]
+    patch = topology.vertex_components(small[1], np.abs(vertices[:, 2]) > 0.7)
+    assert set(patch) == {-1, 0, 1}
+    assert (patch[np.abs(vertices[:, 2]) <= 0.7] == -1).all()
+    top = patch[vertices[:, 2] > 0.7]
+    assert (top == top[0]).all() and (patch[vertices[:, 2] < -0.7] != top[0]).all()
+
+
+def test_fans_that_meet_in_one_vertex_get_one_each():
+    vertices = np.arange(15.0).reshape(5, 3)
+    bow_tie = np.array([[0, 1, 2], [0, 3, 4]])
+    apart, faces = topology.separate_touching(vertices, bow_tie)
+    assert len(apart) == 6 and len(np.unique(faces)) == 6
+    np.testing.assert_array_equal(apart[faces], vertices[bow_tie])
+    whole = icosphere(1)
+    same, same_faces = topology.separate_touching(*whole)
+    assert len(same) == len(whole[0])
+    np.testing.assert_array_equal(same[same_faces], whole[0][whole[1]])
+
+
+def test_vertex_normals_of_a_sphere_and_of_nothing():
+    vertices, faces = icosphere(3)
+    assert (topology.vertex_normals(vertices, faces) * vertices).sum(axis=1).min() > 0.999
+    assert (topology.vertex_normals(vertices * 0, faces) == 0).all()
 
 
 def test_compact_drops_degenerate_and_doubled_faces_and_unused_vertices():

@@ -79,7 +79,7 @@ print(json.dumps({"seen": seen, "colours": colours, "slid": slid, "played": play
 def display(tmp_path):
     """A virtual screen; its name goes into the environment of what is started on it."""
     read, write = os.pipe()
-    command = [XVFB, "-displayfd", str(write), "-screen", "0", "800x600x24", "-nolisten", "tcp"]
+    command = [XVFB, "-displayfd", str(write), "-screen", "0", "800x600x24", "-nolisten", "tcp", "-noreset"]
     server = subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL)
     os.close(write)
     with os.fdopen(read) as stream:
@@ -145,7 +145,7 @@ def test_each_key_in_a_real_window(tmp_path, out, display):
 @pytest.mark.usefixtures("drawing")
 def test_the_command_opens_a_window_and_ends(out, display):
     code = (
-        "import sys; from warpdef.apps import view_window as w; from warpdef.apps.main import run\n"
+        "import sys; from warpdef.apps.viewer import window as w; from warpdef.apps.main import run\n"
         "drawn = []\n"
         "spin = w.Window.spin\n"
         "def once(self, now):\n"

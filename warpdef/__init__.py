@@ -15,6 +15,7 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Appearance": "warpdef.appearance",
     "Config": "warpdef.config",
     "preset": "warpdef.config",
     "MeshSequence": "warpdef.mesh",

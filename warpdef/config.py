@@ -27,6 +27,8 @@ class KeyframeConfig:
     """Cells an axis of the grid in which occupied voxels are counted."""
     gamma: float = 0.001
     """Gaussian weight exp(-gamma (t - T/2)^2) that favours the temporal middle."""
+    coverage_min: float = 0.8
+    """Frames that show less than this share of the surface of the fullest frame are no keyframes if others can be."""
 
     def __post_init__(self) -> None:
         named = self.choice in ("auto", "first", "middle")
@@ -34,6 +36,7 @@ class KeyframeConfig:
         _require(known, "keyframe.choice", "auto, first, middle or an index from 0", self.choice)
         _require(1 <= self.voxels <= 1024, "keyframe.voxels", "1 to 1024", self.voxels)
         _require(self.gamma >= 0, "keyframe.gamma", "a number from 0", self.gamma)
+        _require(0 <= self.coverage_min <= 1, "keyframe.coverage_min", "0 to 1", self.coverage_min)
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,10 @@ class TemplateConfig:
     """Path of a mesh of your own for the keyframe, vertex order kept; empty: reconstruct one."""
     backend: Literal["auto", "gpytoolbox", "pymeshlab"] = "auto"
     """Library for screened Poisson and remeshing; ``auto`` takes gpytoolbox, else pymeshlab."""
+    method: Literal["poisson", "tetrahedra"] = "poisson"
+    """``poisson``: screened Poisson; ``tetrahedra``: a deforming tetrahedral grid, fitted by gradient descent."""
+    surface: Literal["auto", "closed", "open"] = "auto"
+    """``open``: trimmed where the points end; ``auto``: open if more than ``far_share_max`` would be trimmed."""
     depth: int = 0
     """Octree depth of screened Poisson; 0: cells of the mean point spacing, as finer ones add false handles."""
     screening: float = 10.0
@@ -66,6 +73,8 @@ class TemplateConfig:
     def __post_init__(self) -> None:
         known = self.backend in ("auto", "gpytoolbox", "pymeshlab")
         _require(known, "template.backend", "auto, gpytoolbox or pymeshlab", self.backend)
+        _require(self.method in ("poisson", "tetrahedra"), "template.method", "poisson or tetrahedra", self.method)
+        _require(self.surface in ("auto", "closed", "open"), "template.surface", "auto, closed or open", self.surface)
         _require(self.depth == 0 or 3 <= self.depth <= 14, "template.depth", "0 (by spacing) or 3 to 14", self.depth)
         _require(self.screening >= 0, "template.screening", "a number from 0", self.screening)
         _require(self.faces_max >= 20, "template.faces_max", "at least 20", self.faces_max)
@@ -246,6 +255,8 @@ class RefineConfig:
     """Residual, relative to the right-hand side, at which a frame's linear solve stops."""
     iterations_max: int = 300
     """Steps after which a frame's linear solve stops all the same."""
+    recover: bool = True
+    """Fit frames that lost a limb again, from their neighbour, by matches of one connected part."""
 
     def __post_init__(self) -> None:
         _require(self.iterations >= 0, "refine.iterations", "0 or more", self.iterations)
@@ -267,6 +278,8 @@ class Config:
     """Frames used, ``start:stop:step`` as a Python slice; empty: all."""
     points: int = 0
     """Points a frame, drawn without replacement; 0: all."""
+    drop_strays: bool = True
+    """Leave out points that belong to no surface: single ones and loose clusters far from it; clean clouds keep all."""
     fill: float = 0.95
     """Half the side of the cube that the sequence's bounding box fills."""
     seed: int = 0
@@ -319,6 +332,7 @@ def preset(name: str) -> Config:
         return base
     return replace(
         base,
+        drop_strays=False,
         grid=replace(base.grid, prune=True),
         sobolev=replace(base.sobolev, solver="cg"),
         loss=replace(base.loss, tangential=1.0),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpdef.appearance import Appearance
 from warpdef.errors import InputError
 
 
@@ -38,16 +39,30 @@ def unique_edges(faces: np.ndarray) -> np.ndarray:
     return np.unique(np.sort(directed, axis=1), axis=0).astype(np.int32)
 
 
+def float32_where_exact(vertices: np.ndarray) -> np.ndarray:
+    """Positions (T, V, 3) as float32, or as float64 where float32 would lose some of the shape.
+
+    Coordinates of 1,000,000 are 0.06 apart in float32: far from the origin a shape would be lost. The bound is a
+    millionth of the extent of all frames, about what a fit in float32 within the unit cube resolves.
+    """
+    low, high = vertices.min(axis=(0, 1)), vertices.max(axis=(0, 1))
+    with np.errstate(over="ignore"):
+        step = np.spacing(np.maximum(np.abs(low), np.abs(high)).max().astype(np.float32))
+    return vertices.astype(np.float32 if step <= 1e-6 * (high - low).max() else np.float64)
+
+
 @dataclass(frozen=True)
 class TriMesh:
     """One triangle mesh.
 
-    vertices: positions, input units            (V, 3) float64
-    faces:    vertex indices, counter-clockwise (F, 3) int32
+    vertices:   positions, input units            (V, 3) float64
+    faces:      vertex indices, counter-clockwise (F, 3) int32
+    appearance: colours and texture coordinates, where it has any
     """
 
     vertices: np.ndarray
     faces: np.ndarray
+    appearance: Appearance | None = None
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)

@@ -7,31 +7,36 @@ Section names are those of *Preconditioned Deformation Grids* (Pacific Graphics 
 
 from __future__ import annotations
 
-import math
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import warp as wp
 
 import warpdef
+from warpdef.cleaning import drop_strays
 from warpdef.config import Config, parse_slice
-from warpdef.errors import WarpdefError
+from warpdef.errors import InputError
 from warpdef.files import read_mesh
+from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
 from warpdef.fit.refine import Refinement
+from warpdef.fit.run import FitRun
+from warpdef.fit.saving import Saved, Saver, lasting_facts
 from warpdef.fit.workers import Team, find_device, usable_cores
-from warpdef.mesh import TriMesh
-from warpdef.progress import Callback, Clock, Interruption, Progress, held_interrupts, peak_memory_mb
+from warpdef.gaps import fill_gaps
+from warpdef.memory import MemoryEstimate, explained_shortage, require_memory
+from warpdef.mesh import MeshSequence, TriMesh, float32_where_exact
+from warpdef.motion.grid_motion import GridMotion
+from warpdef.progress import Callback, Clock, Limits, Progress, held_interrupts, peak_memory_mb
 from warpdef.result import Reconstruction
-from warpdef.sequence import PointSequence, Similarity
+from warpdef.sequence import PointSequence, Similarity, name_frames
 from warpdef.template.choose import ChosenTemplate, accept_user_template, choose_template
 from warpdef.template.normals import pca_normals
-
-_LOOK_EVERY = 10  # iterations between two looks at the losses: a look waits for the device
 
 
 def reconstruct(
@@ -42,6 +47,12 @@ def reconstruct(
     threads: int | None = None,
     template: TriMesh | None = None,
     callback: Callback | None = None,
+    checkpoint: Path | None = None,
+    checkpoint_seconds: float = 60.0,
+    resume: Saved | Path | None = None,
+    notes: Mapping[str, str] | None = None,
+    seconds_max: float | None = None,
+    memory_limit: float | None = None,
 ) -> Reconstruction:
     """Fit one template mesh to every frame.
 
@@ -53,24 +64,39 @@ def reconstruct(
         template: a mesh of your own for the keyframe, input units, its vertex order kept; if not given, the file
             ``config.template.mesh``; if that is empty, a mesh is reconstructed.
         callback: called with a ``Progress`` now and then. Ctrl-C during the optimisation ends it early: the best
-            state so far is returned, with ``report["interrupted"]`` true.
+            state so far is returned, with ``report["interrupted"]`` true and ``report["stopped"]`` saying why.
+        checkpoint: file that the state is written to every ``checkpoint_seconds``; it is the caller's to remove.
+        resume: checkpoint to go on from, on the same input, with its own configuration: on the CPU to the same bits.
+        notes: kept in the checkpoint for whoever resumes.
+        seconds_max: time after which the best state so far is returned; some of it goes to the vertex stage.
+        memory_limit: GiB that the run may be estimated to need; what is free if not given; 0: no limit.
 
     Raises:
-        InputError: clouds or template are not usable. DeviceError: no such device.
-        WarpdefError: the optimisation left the finite numbers.
+        InputError: clouds, template or checkpoint are not usable, or the run does not fit into memory.
+        DeviceError: no such device, or its memory ran out.
+        WarpdefError: the optimisation left the finite numbers at any rate.
     """
-    config = config or Config()
+    saved = Saved(resume) if isinstance(resume, Path) else resume
+    if saved is not None and config not in (None, saved.config):
+        raise InputError(f"{saved.path}: a run goes on with its own configuration; leave config out")
+    config = saved.config if saved is not None else config or Config()
     tell = callback or (lambda progress: None)
-    clock = Clock()
+    clock = Clock(saved.facts["seconds"] if saved is not None else None)
     target = find_device(device)
     if not isinstance(sequence, PointSequence):
         sequence = PointSequence.from_arrays(sequence)
     sequence = sequence.select(parse_slice(config.frames))
+    if config.drop_strays:
+        sequence = drop_strays(sequence)
     if config.points:
         sequence = sequence.subsample(config.points, config.seed)
 
+    if saved is not None:
+        saved.require_input(sequence)
     if template is None and config.template.mesh:
         template = read_mesh(Path(config.template.mesh))
+    sizes = [len(p) for p in sequence.points]
+    estimate = require_memory(sizes, len(template.vertices) if template else None, config, target, memory_limit)
 
     # Implementation Details: the whole sequence is normalised into the cube by one similarity.
     into = Similarity.into_cube(sequence.points, config.fill)
@@ -79,46 +105,76 @@ def reconstruct(
     # Keyframe Selection: the frame with most surface near the middle, and screened Poisson on it.
     tell(Progress("template"))
     with clock.phase("template"):
-        chosen = _template(clouds, sequence, template, into, config)
-    for warning in chosen.warnings:
+        chosen = _template(sequence, template, into, config, saved)
+    for warning in (*sequence.warnings, *chosen.warnings):
         tell(Progress("template", message=warning))
 
     # Optimization: one descent for all steps, both directions, and the template.
     tell(Progress("compile"))
-    with closing(Team(threads or usable_cores() if target.is_cpu else 1)) as team:
+    with closing(Team(threads or usable_cores() if target.is_cpu else 1)) as team, explained_shortage(estimate, target):
         with clock.phase("compile"):
             normals = _surface_normals(clouds, sequence.normals, config)
             mesh = chosen.mesh
             given = [n is not None for n in sequence.normals]
-            problem = Problem(clouds, normals, mesh.vertices, mesh.faces, chosen.keyframe, config, target, given)
+            keyframe = sequence.numbers.index(chosen.keyframe)
+            problem = Problem(clouds, normals, mesh.vertices, mesh.faces, keyframe, config, target, given)
             optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
             optimiser.prepare()
             refinement = Refinement(optimiser.objective, team) if config.refine.iterations else None
             if refinement is not None:
                 refinement.prepare()
         with held_interrupts() as interruption:
+            resumed = [*saved.facts["resumed"], saved.iteration] if saved is not None else []
+            facts = lasting_facts(sequence, config, chosen, notes or {}, resumed)
+            saver = Saver(checkpoint, checkpoint_seconds, facts, mesh, clock)
+            show = _with_meshes(tell, optimiser.objective, mesh.faces, into, sequence)
+            run = FitRun(optimiser, refinement, Limits(interruption, clock, seconds_max), saver, show)
+            if saved is not None:
+                run.restore(saved)
             with clock.phase("optimise"):
-                steps = _descend(optimiser, interruption, tell)
-                optimiser.finish()
+                run.descend()
             # Beyond the paper: every vertex of every frame on its own, and one shape for all frames.
-            troubles: list[str] = []
             with clock.phase("refine"):
-                if refinement is not None and not interruption.asked:
-                    troubles = _refine(refinement, interruption, tell)
-            interrupted = interruption.asked
-        vertices = into.from_cube(optimiser.objective.placed_vertices()).astype(np.float32)
+                run.refine()
+        vertices = optimiser.objective.placed_vertices()
+        vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces)
+        vertices = float32_where_exact(into.from_cube(vertices))
 
-    result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=steps)
-    result.report = _report(sequence, chosen, optimiser, refinement, troubles, steps, interrupted, team.size, clock)
+        levels = (config.grid.coarsest, config.grid.levels)
+        nodes = optimiser.nodes.numpy()
+        motion = GridMotion.from_nodes(nodes, levels, chosen.keyframe, into, sequence.numbers, sequence.frame_count)
+
+    result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=run.steps, motion=motion)
+    result.appearance = None if template is None else template.appearance
+    result.report = _report(sequence, chosen, run, team.size, clock, estimate)
+    result.report |= {"interrupted": interruption.asked, "resumed": resumed}
     return result
 
 
 def _template(
-    clouds: list[np.ndarray], sequence: PointSequence, template: TriMesh | None, into: Similarity, config: Config
+    sequence: PointSequence, template: TriMesh | None, into: Similarity, config: Config, saved: Saved | None
 ) -> ChosenTemplate:
-    if template is None:
-        return choose_template(clouds, sequence.normals, config)
-    return accept_user_template(TriMesh(into.to_cube(template.vertices), template.faces), clouds, config)
+    mine = None if template is None else TriMesh(into.to_cube(template.vertices), template.faces)
+    if saved is not None:
+        return saved.template(mine)
+    # Frames are numbered as in the input: one without usable points is an empty cloud.
+    clouds = [into.to_cube(p) for p in sequence.all_frames()]
+    if mine is None:
+        return choose_template(clouds, sequence.all_normals(), config)
+    return accept_user_template(mine, clouds, config)
+
+
+def _with_meshes(
+    tell: Callback, objective: Objective, faces: np.ndarray, into: Similarity, sequence: PointSequence
+) -> Callback:
+    """Messages that can hand out the mesh as the last iteration had it."""
+
+    def meshes() -> MeshSequence:
+        vertices = fill_gaps(objective.placed_vertices(), sequence.numbers, sequence.frame_count)
+        # In single precision throughout: the optimiser waits.
+        return MeshSequence(vertices / np.float32(into.scale) + into.centre.astype(np.float32), faces)
+
+    return lambda progress: tell(replace(progress, meshes=meshes))
 
 
 def _surface_normals(
@@ -131,62 +187,31 @@ def _surface_normals(
     return [pca_normals(p, neighbours) if n is None else n for p, n in zip(clouds, given, strict=True)]
 
 
-def _descend(optimiser: Optimiser, interruption: Interruption, tell: Callback) -> list[dict[str, float]]:
-    """All iterations of the grid stage, or those until Ctrl-C; returns the loss curve."""
-    steps: list[dict[str, float]] = []
-    while optimiser.done < optimiser.iterations and not interruption.asked:
-        optimiser.step()
-        if optimiser.done % _LOOK_EVERY == 0 or optimiser.done == optimiser.iterations:
-            losses = optimiser.look()
-            if not math.isfinite(losses["total"]):
-                raise WarpdefError(
-                    f"the optimisation left the finite numbers by iteration {optimiser.done} (losses {losses}); "
-                    "lower optimiser.rate"
-                )
-            steps.append({"iteration": optimiser.done, **losses})
-            tell(Progress("optimise", optimiser.done, optimiser.iterations, losses))
-    return steps
-
-
-def _refine(refinement: Refinement, interruption: Interruption, tell: Callback) -> list[str]:
-    """All rounds of the vertex stage, or those until Ctrl-C; what went wrong, in which case the grids' result stays."""
-    vertices = refinement.objective.vertices
-    before = wp.clone(vertices)
-    refinement.start()
-    while refinement.done < refinement.config.iterations and not interruption.asked:
-        refinement.step()
-        refinement.look()
-        tell(Progress("refine", refinement.done, refinement.config.iterations))
-    if np.isfinite(vertices.numpy()).all():
-        return []
-    vertices.assign(before)
-    return ["the vertex stage left the finite numbers; the result is that of the grids. Raise refine.damping"]
-
-
 def _report(
-    sequence: PointSequence,
-    chosen: ChosenTemplate,
-    optimiser: Optimiser,
-    refinement: Refinement | None,
-    troubles: list[str],
-    steps: list[dict[str, float]],
-    interrupted: bool,
-    threads: int,
-    clock: Clock,
+    sequence: PointSequence, chosen: ChosenTemplate, run: FitRun, threads: int, clock: Clock, estimate: MemoryEstimate
 ) -> dict:
+    optimiser, refinement = run.optimiser, run.refinement
     device = optimiser.problem.device
     stages = {"sobolev": optimiser.solves}
-    warnings = [*chosen.warnings, *troubles, *optimiser.solves.warning("sobolev.iterations_max")]
+    warnings = [*sequence.warnings, *chosen.warnings, *run.warnings]
+    warnings += optimiser.solves.warning("sobolev.iterations_max")
     if refinement is not None:
         stages["refine"] = refinement.solves
         warnings += refinement.solves.warning("refine.iterations_max")
+        numbers = sequence.numbers
+        recovered = [numbers[t] for t in refinement.frames_recovered]
+        lost = [numbers[t] for t in refinement.frames_lost]
+        if lost:
+            warnings.append(f"part of the points is not covered by the mesh in {name_frames(lost)}")
     return {
         "versions": {"warpdef": warpdef.__version__, "warp": wp.__version__, "python": platform.python_version()},
         "device": {"name": device.name, "alias": device.alias},
         "threads": threads,
-        "frames": len(sequence),
-        "points": [len(p) for p in sequence.points],
+        "frames": sequence.frame_count,
+        "frames_missing": [gap.number for gap in sequence.gaps],
+        "points": [len(p) for p in sequence.all_frames()],
         "duplicates_merged": int(sum(sequence.merged)),
+        "points_dropped": int(sum(sequence.dropped)),
         "keyframe": chosen.keyframe,
         "keyframe_why": chosen.why,
         "template": {
@@ -195,11 +220,12 @@ def _report(
             "gate": chosen.gate.as_dict(),
         },
         "iterations": optimiser.done,
-        "interrupted": interrupted,
-        "losses": {key: value for key, value in (steps[-1] if steps else {}).items() if key != "iteration"},
-        "refine": None if refinement is None else refinement.as_dict(),
+        "stopped": run.stopped or None,
+        "losses": {key: value for key, value in (run.steps[-1] if run.steps else {}).items() if key != "iteration"},
+        "refine": None if refinement is None else {**refinement.as_dict(), "frames_recovered": recovered},
         "solver": {stage: solves.as_dict() for stage, solves in stages.items()},
         "seconds": dict(clock.seconds),
+        "memory_estimate_mb": round(estimate.total / 2**20, 1),
         "peak_memory_mb": round(peak_memory_mb(), 1),
         "warnings": warnings,
     }

@@ -6,10 +6,14 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from warpdef.mesh import MeshSequence
 
 
 @dataclass(frozen=True)
@@ -18,6 +22,8 @@ class Progress:
 
     phase: "template", "compile", "optimise" or "refine". iteration: done so far, of iterations. losses: weighted terms.
     message: something worth saying aloud, or empty.
+    meshes: returns the mesh as it is now, in input units, float32; only while the callback runs. Nothing is computed
+    until it is called, and little then. None before there is a mesh.
     """
 
     phase: str
@@ -25,31 +31,64 @@ class Progress:
     iterations: int = 0
     losses: dict[str, float] = field(default_factory=dict)
     message: str = ""
+    meshes: Callable[[], MeshSequence] | None = None
 
 
 Callback = Callable[[Progress], None]
 
 
 class Clock:
-    """Seconds by phase."""
+    """Seconds by phase; ``begun`` is when it was made, on the performance counter."""
 
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
+    def __init__(self, seconds: Mapping[str, float] | None = None) -> None:
+        self.begun = time.perf_counter()
+        self.seconds: dict[str, float] = dict(seconds or {})
+        self._running: tuple[str, float] | None = None
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
         """Add the time of the block to ``name``."""
-        start = time.perf_counter()
+        self._running = name, time.perf_counter()
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            self.seconds = self.so_far()
+            self._running = None
+
+    def so_far(self) -> dict[str, float]:
+        """Seconds by phase, the present one until now."""
+        if self._running is None:
+            return dict(self.seconds)
+        name, start = self._running
+        return {**self.seconds, name: self.seconds.get(name, 0.0) + time.perf_counter() - start}
 
 
 class Interruption:
     """Whether Ctrl-C was pressed since ``held_interrupts`` began."""
 
     asked = False
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a run has to end early: by Ctrl-C, or ``seconds_max`` after its clock began."""
+
+    interruption: Interruption
+    clock: Clock
+    seconds_max: float | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Since the clock began."""
+        return time.perf_counter() - self.clock.begun
+
+    def reason(self, reserve: float = 0.0) -> str:
+        """Why to stop now, ``reserve`` seconds before the time is up; empty if there is no reason."""
+        if self.interruption.asked:
+            return "interrupted"
+        if self.seconds_max is not None and self.seconds + reserve >= self.seconds_max:
+            return f"time limit of {self.seconds_max:g} s"
+        return ""
 
 
 @contextmanager

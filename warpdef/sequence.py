@@ -2,25 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warpdef.errors import InputError
+from warpdef.cloud import LARGEST_COORDINATE, MIN_POINTS, check_cloud, draw_points
+from warpdef.errors import InputError, MissingPackageError
 
 MIN_FRAMES = 2
-MIN_POINTS = 10
+
+Cloud = tuple[np.ndarray, "np.ndarray | None"]
+"""Points (N, 3), and normals (N, 3) or None."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A frame of the input that has no usable points: its mesh is interpolated.
+
+    number: index from 0 in the input. name: what it is called. why: one sentence.
+    """
+
+    number: int
+    name: str
+    why: str
 
 
 @dataclass(frozen=True)
 class PointSequence:
-    """Raw point clouds without correspondences, one a frame.
+    """Raw point clouds without correspondences, one a frame; frames without usable points are ``gaps``.
 
-    points:  positions, input units           T arrays, each (N_t, 3) float64
-    normals: unit normals, None where unknown T entries, each (N_t, 3) float64 or None
-    names:   what a frame is called in errors T strings: a file name or "frame 7"
-    merged:  duplicate points merged          T integers
+    points:   positions, input units            T arrays, each (N_t, 3) float64
+    normals:  unit normals, None where unknown  T entries, each (N_t, 3) float64 or None
+    names:    what a frame is called in errors  T strings: a file name or "frame 7"
+    merged:   duplicate points merged           T integers
+    dropped:  points that are no numbers        T integers
+    disowned: normals given but not usable      T truth values
+    gaps:     the input's other frames; ``len(sequence)`` is T, ``frame_count`` counts them all
+    notes:    further warnings about the input, one line each
 
     Build one with ``PointSequence.from_arrays``, which checks every frame.
     """
@@ -28,10 +47,69 @@ class PointSequence:
     points: tuple[np.ndarray, ...]
     normals: tuple[np.ndarray | None, ...]
     names: tuple[str, ...]
-    merged: tuple[int, ...] = field(default=())
+    merged: tuple[int, ...] = ()
+    dropped: tuple[int, ...] = ()
+    disowned: tuple[bool, ...] = ()
+    gaps: tuple[Gap, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.points)
+
+    @property
+    def frame_count(self) -> int:
+        """Frames of the input, those without usable points included; a result has as many."""
+        return len(self.points) + len(self.gaps)
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """The input's frame number of each cloud, ascending, shape (T,)."""
+        missing = {gap.number for gap in self.gaps}
+        return tuple(n for n in range(self.frame_count) if n not in missing)
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of all frames of the input, gaps included."""
+        names = dict(zip(self.numbers, self.names, strict=True)) | {gap.number: gap.name for gap in self.gaps}
+        return tuple(names[n] for n in range(self.frame_count))
+
+    def all_frames(self, clouds: Sequence[np.ndarray] | None = None) -> list[np.ndarray]:
+        """A cloud for every frame of the input, shape (0, 3) for gaps; ``clouds``, if given, in place of the points."""
+        frames = [np.zeros((0, 3))] * self.frame_count
+        for number, cloud in zip(self.numbers, self.points if clouds is None else clouds, strict=True):
+            frames[number] = cloud
+        return frames
+
+    def all_normals(self) -> list[np.ndarray | None]:
+        """Normals for every frame of the input; None for gaps and where unknown."""
+        normals: list[np.ndarray | None] = [None] * self.frame_count
+        for number, given in zip(self.numbers, self.normals, strict=True):
+            normals[number] = given
+        return normals
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was done to the input, a line each, with the numbers of the frames."""
+        lines = list(self.notes)
+        numbers = self.numbers
+        inner = [g for g in self.gaps if numbers[0] < g.number < numbers[-1]]
+        outer = [g for g in self.gaps if g not in inner]
+        for gaps, done in ((inner, "interpolated between the neighbours"), (outer, "that of the nearest frame")):
+            if gaps:
+                which, several = name_frames([g.number for g in gaps]), len(gaps) > 1
+                meshes, first = ("their meshes are", " The first") if several else ("its mesh is", " Why")
+                lines.append(f"{which} of {self.frame_count} cannot be used; {meshes} {done}.{first}: {gaps[0].why}")
+        for counts, what in (
+            (self.dropped, f"points left out that are not finite or beyond {LARGEST_COORDINATE:g}"),
+            (self.merged, "duplicate points merged"),
+        ):
+            found = [n for n, count in zip(numbers, counts, strict=False) if count]
+            if found:
+                lines.append(f"{what}: {sum(counts)} in {name_frames(found)}")
+        found = [n for n, disowned in zip(numbers, self.disowned, strict=False) if disowned]
+        if found:
+            lines.append(f"normals of length 0 or not finite: those of {name_frames(found)} are estimated instead")
+        return tuple(lines)
 
     @classmethod
     def from_arrays(
@@ -39,61 +117,107 @@ class PointSequence:
         points: np.ndarray | Sequence[np.ndarray],
         normals: np.ndarray | Sequence[np.ndarray | None] | None = None,
         names: Sequence[str] | None = None,
+        *,
+        strict: bool = False,
     ) -> PointSequence:
-        """Check every frame, merge duplicate points, make normals unit length.
+        """Check every frame, merge duplicate points, leave out those that are no numbers, make normals unit length.
 
         Args:
             points: shape (T, N, 3), or a list of T arrays of shape (N_t, 3). Input units.
             normals: as ``points``, any length above zero; None, or None for single frames, where unknown.
             names: T names used in error messages; "frame i" if not given.
+            strict: refuse a frame that cannot be used; else it becomes a gap.
 
         Raises:
-            InputError: fewer than 2 frames, fewer than 10 points in a frame, a wrong shape, NaN or
-                infinity, all points equal, or normals of another length than the points.
+            InputError: fewer than 2 frames, more than half of the frames (with ``strict``: one) with fewer than 10
+                points, a wrong shape, all points equal, or normals of another length than the points.
         """
         frame_count = len(points)
         names = tuple(names) if names is not None else tuple(f"frame {i}" for i in range(frame_count))
-        if frame_count < MIN_FRAMES:
-            raise InputError(
-                f"the sequence: expected at least {MIN_FRAMES} frames, got {frame_count}; "
-                "give a folder of numbered clouds or an npz with points (T, N, 3)"
-            )
         if normals is None:
             normals = [None] * frame_count
         if len(normals) != frame_count:
             raise InputError(
                 f"normals: expected {frame_count} frames as in points, got {len(normals)}; give them for all, or none"
             )
-        kept, kept_normals, merged = [], [], []
-        for frame_points, frame_normals, name in zip(points, normals, names, strict=True):
-            p = _check_points(frame_points, name)
-            n = _check_normals(frame_normals, len(p), name)
-            p, n, dropped = _merge_duplicates(p, n)
-            if len(p) == 1:
-                raise InputError(
-                    f"{name}: all points are equal; expected a surface, got a single position; drop this frame"
-                )
-            if len(p) < MIN_POINTS:
-                raise InputError(
-                    f"{name}: expected at least {MIN_POINTS} different points, got {len(p)}; drop this frame"
-                )
-            kept.append(p)
-            kept_normals.append(n)
-            merged.append(dropped)
-        return cls(tuple(kept), tuple(kept_normals), names, tuple(merged))
+        pairs = zip(names, points, normals, strict=True)
+        return cls.from_frames(((name, lambda p=p, n=n: (p, n)) for name, p, n in pairs), strict=strict)
 
-    def select(self, frames: slice) -> PointSequence:
-        """The frames of a slice, in order.
+    @classmethod
+    def from_frames(
+        cls,
+        frames: Iterable[tuple[str, Callable[[], Cloud]]],
+        *,
+        strict: bool = False,
+        at_most: int = 0,
+        seed: int = 0,
+        notes: Sequence[str] = (),
+    ) -> PointSequence:
+        """As ``from_arrays``, from a name and a function that reads it for each frame, one after the other.
+
+        Args:
+            frames: what to read; an ``InputError`` of the function makes the frame a gap.
+            strict: as in ``from_arrays``.
+            at_most: points kept of a frame, as ``subsample`` does; 0: all. Then no more than one frame is held whole.
+            seed: of that choice.
+            notes: warnings to carry along.
 
         Raises:
-            InputError: fewer than 2 frames are left.
+            InputError: as ``from_arrays``.
         """
-        chosen = self.points[frames]
-        if len(chosen) < MIN_FRAMES:
+        kept: list[tuple[np.ndarray, np.ndarray | None, str, int, int, bool]] = []
+        gaps: list[Gap] = []
+        count = 0
+        for number, (name, read) in enumerate(frames):
+            count += 1
+            try:
+                p, n, merged, dropped, disowned = check_cloud(*read(), name)
+            except MissingPackageError:
+                raise
+            except InputError as error:
+                if strict:
+                    raise
+                gaps.append(Gap(number, name, str(error)))
+                continue
+            if at_most:
+                p, n = draw_points(p, n, at_most, seed, number)
+            kept.append((p, n, name, merged, dropped, disowned))
+        if count < MIN_FRAMES:
             raise InputError(
-                f"--frames: expected at least {MIN_FRAMES} of {len(self)} frames, got {len(chosen)}; widen the range"
+                f"the sequence: expected at least {MIN_FRAMES} frames, got {count}; "
+                "give a folder of numbered clouds or an npz with points (T, N, 3)"
             )
-        return PointSequence(chosen, self.normals[frames], self.names[frames], self.merged[frames])
+        if len(kept) < MIN_FRAMES or len(gaps) > len(kept):
+            others = f" ({len(gaps)} of {count} frames cannot be used)" if len(gaps) > 1 else ""
+            raise InputError(gaps[0].why + others)
+        return cls(*zip(*kept, strict=True), gaps=tuple(gaps), notes=tuple(notes))
+
+    def select(self, frames: slice) -> PointSequence:
+        """The input's frames of a slice, in order, numbered from 0 anew.
+
+        Raises:
+            InputError: fewer than 2 frames, or fewer than 2 with usable points, are left.
+        """
+        order = range(self.frame_count)[frames]
+        if order == range(self.frame_count):
+            return self
+        place = {number: place for place, number in enumerate(self.numbers)}
+        chosen = [place[number] for number in order if number in place]
+        if len(chosen) < MIN_FRAMES:
+            usable = " with usable points" if len(order) > len(chosen) else ""
+            raise InputError(
+                f"--frames: expected at least {MIN_FRAMES} of {self.frame_count} frames{usable}, got {len(chosen)}; "
+                "widen the range"
+            )
+        gaps = {gap.number: gap for gap in self.gaps}
+        return replace(
+            self,
+            gaps=tuple(replace(gaps[old], number=new) for new, old in enumerate(order) if old in gaps),
+            **{
+                name: tuple(values[t] for t in chosen) if (values := getattr(self, name)) else ()
+                for name in ("points", "normals", "names", "merged", "dropped", "disowned")
+            },
+        )
 
     def subsample(self, count: int, seed: int) -> PointSequence:
         """At most ``count`` points a frame, drawn without replacement; order kept; repeatable by ``seed``.
@@ -103,61 +227,23 @@ class PointSequence:
         """
         if count < MIN_POINTS:
             raise InputError(f"--points: expected at least {MIN_POINTS}, got {count}")
-        points, normals = [], []
-        for frame, (p, n) in enumerate(zip(self.points, self.normals, strict=True)):
-            if len(p) > count:
-                chosen = np.sort(np.random.default_rng([seed, frame]).choice(len(p), count, replace=False))
-                p, n = p[chosen], None if n is None else n[chosen]
-            points.append(p)
-            normals.append(n)
-        return PointSequence(tuple(points), tuple(normals), self.names, self.merged)
+        frames = zip(self.points, self.normals, self.numbers, strict=True)
+        points, normals = zip(*(draw_points(p, n, count, seed, number) for p, n, number in frames), strict=True)
+        return replace(self, points=points, normals=normals)
 
 
-def _check_points(points: np.ndarray, name: str) -> np.ndarray:
-    try:
-        points = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: points: expected numbers of shape (N, 3), got something else") from None
-    if points.ndim != 2 or points.shape[1] != 3:
-        hint = "; drop the columns after the third" if points.ndim == 2 and points.shape[1] > 3 else ""
-        raise InputError(f"{name}: points: expected shape (N, 3), got {points.shape}{hint}")
-    if len(points) < MIN_POINTS:
-        raise InputError(
-            f"{name}: expected at least {MIN_POINTS} points, got {len(points)}; drop this frame or scan it again"
-        )
-    bad = ~np.isfinite(points).all(axis=1)
-    if bad.any():
-        raise InputError(
-            f"{name}: points: expected finite coordinates, got NaN or infinity in {int(bad.sum())} of {len(points)} "
-            f"(first: point {int(bad.argmax())}); remove them"
-        )
-    return points
-
-
-def _check_normals(normals: np.ndarray | None, count: int, name: str) -> np.ndarray | None:
-    if normals is None:
-        return None
-    normals = np.asarray(normals, dtype=np.float64)
-    if normals.shape != (count, 3):
-        raise InputError(
-            f"{name}: normals: expected shape ({count}, 3) as the points have, got {normals.shape}; "
-            "give one normal a point, or none"
-        )
-    if not np.isfinite(normals).all():
-        raise InputError(f"{name}: normals: expected finite numbers, got NaN or infinity; leave the normals out")
-    length = np.linalg.norm(normals, axis=1)
-    if (length == 0).any():
-        # A zero normal says nothing; estimating the whole frame is safer than mixing.
-        return None
-    return normals / length[:, None]
-
-
-def _merge_duplicates(points: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None, int]:
-    _, first = np.unique(points, axis=0, return_index=True)
-    if len(first) == len(points):
-        return points, normals, 0
-    first.sort()
-    return points[first], None if normals is None else normals[first], len(points) - len(first)
+def name_frames(numbers: Sequence[int]) -> str:
+    """``frame 3``, or ``frames 3, 5-7, ...`` with at most eight runs written out."""
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    words = [f"{first}" if first == last else f"{first}-{last}" for first, last in runs]
+    if len(words) > 8:
+        words = [*words[:7], f"... {words[-1]}"]
+    return f"frame{'s' if len(numbers) > 1 else ''} {', '.join(words)}"
 
 
 @dataclass(frozen=True)
@@ -173,10 +259,19 @@ class Similarity:
 
     @classmethod
     def into_cube(cls, clouds: Sequence[np.ndarray], fill: float) -> Similarity:
-        """Joint bounding box of all frames to the centre of [-1, 1]^3, its largest side to 2 * ``fill``."""
+        """Joint bounding box of all frames to the centre of [-1, 1]^3, its largest side to 2 * ``fill``.
+
+        Raises:
+            InputError: the box is too small for its size to be told from 0.
+        """
         low = np.min([c.min(axis=0) for c in clouds], axis=0)
         high = np.max([c.max(axis=0) for c in clouds], axis=0)
-        return cls((low + high) / 2.0, float(2.0 * fill / (high - low).max()))
+        extent = float((high - low).max())
+        if not extent > 1.0 / LARGEST_COORDINATE:
+            raise InputError(
+                f"the sequence: expected an extent above {1.0 / LARGEST_COORDINATE:g}, got {extent:g}; check the units"
+            )
+        return cls((low + high) / 2.0, 2.0 * fill / extent)
 
     def to_cube(self, x: np.ndarray) -> np.ndarray:
         """Input units to cube units, float64."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
+from warpdef.apps.benchmark.bed import VERTICES_PER_TASK, Bed, Case, Peer, run_tasks
 from warpdef.apps.benchmark.peers import add_rows, chamfer_numpy, isometry_numpy
 from warpdef.kernels.chamfer import fixed_to_moving, moving_to_fixed
-from warpdef.kernels.isometry import isometry
+from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
 
 _POINT, _INDEX = 12, 4  # bytes
 _PAIR = 45  # flops of one residual and its gradient, by hand; the exponential counted as 10
@@ -74,11 +74,21 @@ def _isometry(bed: Bed) -> Case:
     p, o = bed.problem, bed.objective
     frames, edges = p.frame_count, len(p.edges)
     share, weight = 1.0 / ((frames - 1) * edges), p.config.loss.isometry_weight
-    losses = wp.zeros(frames, dtype=wp.float64, device=bed.device)
     vertices, adj = wp.clone(o.vertices), wp.zeros_like(o.vertices)
-    tasks = bed.span_tasks(
-        lambda a, n: isometry(a, n, vertices, p.edges, share, weight, losses, adj), np.arange(frames + 1) * edges
-    )
+    if bed.device.is_cpu:
+        paths = wp.zeros((p.vertex_count, 3, path_width(frames)), dtype=wp.float32, device=bed.device)
+        lay_paths(0, p.vertex_count, vertices, paths)
+        mesh = (p.integers(p.mesh.row), p.integers(p.mesh.column))
+        losses = wp.zeros((-(-p.vertex_count // VERTICES_PER_TASK), frames), dtype=wp.float64, device=bed.device)
+
+        def around(begin: int, n: int) -> None:
+            part = begin // VERTICES_PER_TASK
+            isometry_of_vertices(begin, n, paths, *mesh, share, weight, part, losses, adj)
+
+        tasks = bed.vertex_tasks(around)
+    else:
+        losses = wp.zeros(frames, dtype=wp.float64, device=bed.device)
+        tasks = [lambda: isometry(0, frames * edges, vertices, p.edges, share, weight, losses, adj)]
 
     def gradient() -> tuple[np.ndarray, ...]:
         adj.zero_()

@@ -115,8 +115,8 @@ def chamfer_numpy(
 
 
 def add_rows(index: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
-    """Rows (N, 3) summed by index into (count, 3)."""
-    return np.stack([np.bincount(index, rows[:, c], count) for c in range(3)], axis=1)
+    """Rows (N, C) summed by index into (count, C)."""
+    return np.stack([np.bincount(index, rows[:, c], count) for c in range(rows.shape[1])], axis=1)
 
 
 def isometry_numpy(

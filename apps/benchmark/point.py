@@ -33,9 +33,10 @@ def run_point(
 
     Returns:
         ``first_s``: process start to the end of the first iteration, in ``import_s``, ``build_s``, ``compile_s`` and
-        ``step_s``; ``ms`` of the later full ones (null if there are none); ``arrays_mb``: capacity of all arrays of the
-        run; ``peak_mb``: most resident memory of the process; ``device_mb``: the same on a CUDA device, else null;
-        ``modules``: seconds to load a kernel module, by name, where they could be read.
+        ``step_s``; ``ms`` of the later full ones, and ``cpu_ms``, least processor time of one of them, all threads
+        together, which other programs on the machine disturb least (null if there are none; ``cpu_ms`` also on CUDA); ``arrays_mb``:
+        capacity of all arrays of the run; ``peak_mb``: most resident memory of the process; ``device_mb``: the same on
+        a CUDA device, else null; ``modules``: seconds to load a kernel module, by name, where they could be read.
 
     Raises:
         WarpdefError: the process failed.
@@ -157,16 +158,21 @@ def _measure(request: dict[str, Any]) -> dict[str, Any]:
         clock = Clock(device)
         while optimiser.done < request["warmup"]:
             optimiser.step()
-        times = [clock.seconds(optimiser.step) for _ in range(request["iterations"] - (request["warmup"] == 0))]
+        times, work_times = [], []
+        for _ in range(request["iterations"] - (request["warmup"] == 0)):
+            before = time.process_time()
+            times.append(clock.seconds(optimiser.step))
+            work_times.append(time.process_time() - before)
         losses = optimiser.look()
-        counted = times[int(_DISCARDED * len(times)) :]
+        first = int(_DISCARDED * len(times))
         return {
             "first_s": marks[-1] - marks[0],
             "import_s": marks[1] - marks[0],
             "build_s": build,
             "compile_s": compiled,
             "step_s": step,
-            "ms": 1e3 * float(np.median(counted)) if counted else None,
+            "ms": 1e3 * float(np.median(times[first:])) if times else None,
+            "cpu_ms": 1e3 * float(np.min(work_times[first:])) if times and device.is_cpu else None,
             "arrays_mb": array_bytes(optimiser) / 1e6,
             "peak_mb": peak_resident_mb(),
             "device_mb": wp.get_mempool_used_mem_high(device) / 1e6 if device.is_cuda else None,

@@ -9,6 +9,7 @@ import warp as wp
 from warpdef.apps.benchmark.bed import Bed, Case, Peer, difference, runner
 from warpdef.apps.benchmark.loss_cases import loss_cases
 from warpdef.apps.benchmark.motion_cases import motion_cases
+from warpdef.apps.benchmark.refine_cases import ROUND, refine_cases, round_rows
 from warpdef.apps.benchmark.search_cases import search_cases
 from warpdef.apps.benchmark.sizes import ROWS
 from warpdef.apps.benchmark.solve_cases import solve_cases
@@ -20,6 +21,7 @@ GROUPS: Mapping[str, Callable[[Bed], list[Case]]] = {
     "neighbours": search_cases,
     "losses": loss_cases,
     "solves": solve_cases,
+    "refine": refine_cases,
 }
 
 
@@ -37,6 +39,8 @@ def kernel_rows(
         for case in cases(bed):
             if case.name in wanted:
                 yield from case_rows(case, bed, teams, bandwidth, effort)
+    if ROUND in wanted:
+        yield from round_rows(bed, teams)
 
 
 def case_rows(

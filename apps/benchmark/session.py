@@ -35,6 +35,7 @@ from warpdef.apps.benchmark.sizes import (
     PARTS,
     SIZES,
     SIZES_QUICK,
+    SWEEP_ITERATIONS,
     SWEEP_WARMUP,
     SWEEPS,
     SWEEPS_QUICK,
@@ -128,7 +129,7 @@ def run_bench(options: Options, tell: Callable[[str], None] = lambda text: None)
             tell("start and compile time, in processes of their own")
             report["start"] = starts(source, main_size(sizes), device.alias, most, Path(folder))
         if scaling:
-            count, warmup = (6, 3) if options.quick else (32, SWEEP_WARMUP)
+            count, warmup = (6, 3) if options.quick else (SWEEP_ITERATIONS, SWEEP_WARMUP)
             report["scaling"] = run_sweeps(
                 source, base, sweeps, largest, device.alias, most, count, warmup, Path(folder), tell
             )

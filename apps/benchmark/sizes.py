@@ -59,9 +59,20 @@ ROWS = {
         "cosine solve",
         "pruned-grid CG, cold",
         "pruned-grid CG, warm",
+        "template solve",
         "template CG, cold",
         "template CG, warm",
         "Adam",
+    ),
+    "refine": (
+        "vertex normals",
+        "planes, vertices to cloud",
+        "planes, cloud to vertices",
+        "rotations",
+        "rigid pull",
+        "rest pull",
+        "block CG",
+        "vertex stage: a round",
     ),
 }
 """Rows of kernels by group."""
@@ -79,9 +90,11 @@ SWEEPS_QUICK = {"points": (250, 500, 1_000), "vertices": (500, 1_000), "frames":
 LARGEST = Size("largest", 100, 100_000, 100_000, 10, 0)
 """Everything at its upper end at once, measured beside the sweeps; its first iterations only."""
 
-SWEEP_WARMUP = 50
-"""Iterations of the input term alone ahead of a sweep's timed ones, as in the default configuration: without them the
-vertices of far frames would start where the keyframe is, and a longer sequence pay for longer searches."""
+SWEEP_WARMUP, SWEEP_ITERATIONS = 50, 12
+"""Iterations of the input term alone ahead of a sweep's others, as in the default configuration: without them the
+vertices of far frames would start where the keyframe is, and a longer sequence pay for longer searches. And those
+others, the later half of which count."""
+LARGEST_ITERATIONS = 4
 
 EXPONENT_MAX = 1.1
 LINEAR_SWEEPS = ("points", "vertices", "frames")

@@ -12,9 +12,10 @@ import warp as wp
 from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.apps.benchmark.peers import Factored, cosine_numpy
 from warpdef.config import Config
-from warpdef.fit.sobolev import level_lambdas
+from warpdef.fit.sobolev import factorise, level_lambdas
 from warpdef.kernels.adam import adam
 from warpdef.kernels.cg import ConjugateGradients
+from warpdef.kernels.cholesky import CholeskySolver
 from warpdef.kernels.cosine import CosineSolver
 from warpdef.kernels.graphs import Graph, grid_graph, kept_nodes
 from warpdef.kernels.levels import node8
@@ -25,8 +26,9 @@ _WARM_SHARE = 0.01
 
 
 def solve_cases(bed: Bed) -> list[Case]:
-    """Cosine transforms, conjugate gradients on pruned grids and on the template, cold and warm, and Adam."""
-    return [_cosine(bed), *_pruned(bed), *_template(bed), _adam(bed)]
+    """Cosine transforms, the template factorised, conjugate gradients on pruned grids and template, and Adam."""
+    exact = [_factored(bed)] if bed.device.is_cpu else []
+    return [_cosine(bed), *_pruned(bed), *exact, *_template(bed), _adam(bed)]
 
 
 def _cosine(bed: Bed) -> Case:
@@ -59,6 +61,28 @@ def _pruned(bed: Bed) -> list[Case]:
     ))  # fmt: skip
 
 
+def _factored(bed: Bed) -> Case:
+    o, graph = bed.objective, bed.problem.mesh
+    rhs = o.adj_chamfer.numpy()[bed.problem.transitions.keyframe].copy()
+    factor = factorise(graph)
+    solver = CholeskySolver(factor, bed.device)
+    b, out = bed.problem.vectors(rhs), wp.zeros(len(rhs), dtype=wp.vec3, device=bed.device)
+
+    def solution() -> np.ndarray:
+        solver.solve(b, out)
+        return out.numpy()
+
+    known = Factored(graph)
+    exact_rhs = rhs.astype(np.float64)
+    peer = Peer("scipy splu, factored before", lambda workers: known.solve(exact_rhs))
+    count, entries = len(graph.node), len(factor.value)
+    # F is read twice: an index and a number an entry; every entry is a multiply-add for three components, twice.
+    size = 2 * 8 * entries + count * (4 + 4 + 12 + 12 + 3 * 16)
+    tasks = [lambda: solver.solve(b, out)]
+    flops = 12 * entries
+    return Case("template solve", "vertices", count, size, tasks, flops, answer=solution, peers=[peer])
+
+
 def _template(bed: Bed) -> list[Case]:
     o, key = bed.objective, bed.problem.transitions.keyframe
     rhs = o.adj_chamfer.numpy()[key]
@@ -86,12 +110,8 @@ def _conjugate(
     cold = fresh()
     cold_tasks = tasks_of(lambda first, last: cold.solve(sides[0], out, first, last))
 
-    def forget() -> None:
-        # A recorded launch is bound to one solver's arrays, and a solver has no other way to forget its last solution.
-        cold._x.zero_()
-
     def solution() -> np.ndarray:
-        forget()
+        cold.forget()
         run_tasks(cold_tasks)
         return out.numpy()
 
@@ -104,7 +124,7 @@ def _conjugate(
     # The tolerance is on the residual; the solution's error is larger by at most the condition number.
     known = {"answer": solution, "peers": [peer], "tolerance": 1e-2}
     return [
-        Case(f"{name}, cold", unit, count, size, cold_tasks, before=forget, **known),
+        Case(f"{name}, cold", unit, count, size, cold_tasks, before=cold.forget, **known),
         Case(f"{name}, warm", unit, count, size, warm_tasks, before=lambda: wp.copy(b, next(turns))),
     ]
 

@@ -8,6 +8,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from warpdef.apps.benchmark.scaling import GROWING, judged_by
 from warpdef.apps.benchmark.sizes import EXPONENT_MAX
 from warpdef.apps.console import key_value_table, print_table
 
@@ -134,17 +135,20 @@ def _start(start: Mapping[str, Any]) -> Table:
 
 def _sweep(sweep: Mapping[str, Any]) -> Table:
     threads = "" if sweep["threads"] is None else f", {sweep['threads']} threads"
-    table = _table(f"Growth with {sweep['field']}{threads}", f">{sweep['field']}", ">ms", ">arrays MB", ">peak MB")
+    table = _table(
+        f"Growth with {sweep['field']}{threads}", f">{sweep['field']}", ">ms", ">CPU ms", ">arrays MB", ">peak MB"
+    )
     for point in sweep["points"]:
-        table.add_row(str(point["value"]), *(_number(point[key]) for key in ("ms", "arrays_mb", "peak_mb")))
+        table.add_row(str(point["value"]), *(_number(point.get(key)) for key in GROWING))
     fitted = sweep["exponents"]
     if fitted:
         table.add_section()
         for title, end in (("exponent", ""), ("last two", "_top")):
-            table.add_row(title, *(f"{fitted[key + end]:.2f}" for key in ("ms", "arrays_mb", "peak_mb")))
+            table.add_row(title, *(f"{fitted[key + end]:.2f}" if key in fitted else "-" for key in GROWING))
     if sweep["within"] is not None:
-        bound = f"at most {EXPONENT_MAX}"
-        table.add_row(bound, *("yes" if fitted[key] <= EXPONENT_MAX else "NO" for key in ("ms", "arrays_mb")), "")
+        bound, judged = f"at most {EXPONENT_MAX}", judged_by(sweep)
+        verdicts = ("" if key not in judged else "yes" if fitted[key] <= EXPONENT_MAX else "NO" for key in GROWING)
+        table.add_row(bound, *verdicts)
     return table
 
 

@@ -130,7 +130,7 @@ def load_content(
     chosen = select_frames(range(len(run.meshes)), frames, 1, run.path)
     points = true_meshes = None
     if clouds is not None:
-        read = read_clouds(clouds, parse_slice(run.config.frames)).points
+        read = read_clouds(clouds, parse_slice(run.config.frames)).all_frames()
         _same_count(len(read), run, clouds, "choose the clouds that it was made from with --input")
         points = [read[t] for t in chosen]
     if truth is not None:
@@ -169,13 +169,10 @@ def _same_count(count: int, run, path: Path, advice: str) -> None:
 def _run_pane(path: Path, run, chosen: list[int], title: str, points, truth) -> Pane:
     import numpy as np
 
-    from warpdef.export.animation import Animation
-    from warpdef.files.numpy_files import Npz
     from warpdef.mesh import MeshSequence
     from warpdef.truth.colouring import Colouring
 
-    npz = Npz(path / "sequence.npz")
-    colors = Animation(run.meshes, colors=npz.array("vertex_colors")).colors if "vertex_colors" in npz else None
+    colors = run.appearance.colors
     meshes = MeshSequence(run.meshes.vertices[chosen], run.meshes.faces)
     # The keyframe may not be among the frames shown; the nearest one takes its part.
     keyframe = int(np.abs(np.array(chosen) - run.keyframe).argmin())

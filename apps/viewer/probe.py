@@ -68,16 +68,14 @@ class RenderingProbe:
         """
         try:
             _, text = self._process.communicate(timeout=_SECONDS)
-            why = "" if self._process.returncode == 0 else _why(self._process.returncode, text)
+            why = "" if self._process.returncode == 0 else why_it_ended(self._process.returncode, text)
         except subprocess.TimeoutExpired:
             why = f"no picture after {_SECONDS:.0f} s"
         finally:
             self.stop()
         if why:
-            packages = " ".join(dict.fromkeys([*PACKAGES.split(), *_named_packages(why)]))
             raise MissingPackageError(
-                f"this machine cannot draw ({why}); on Debian or Ubuntu: apt-get install {packages}; without it "
-                "`warpdef view OUT --html FILE.html` and `warpdef export` work"
+                f"{advice(why)}; without it `warpdef view OUT --html FILE.html` and `warpdef export` work"
             )
 
     def stop(self) -> None:
@@ -92,7 +90,14 @@ def has_screen() -> bool:
     return bool(os.environ.get("DISPLAY"))
 
 
-def _why(code: int, text: str) -> str:
+def advice(why: str) -> str:
+    """That this machine cannot draw, why, and which packages would help."""
+    packages = " ".join(dict.fromkeys([*PACKAGES.split(), *_named_packages(why)]))
+    return f"this machine cannot draw ({why}); on Debian or Ubuntu: apt-get install {packages}"
+
+
+def why_it_ended(code: int, text: str) -> str:
+    """The exit code of a process that draws, and what it wrote on standard error, in a few words."""
     # VTK's lines: colour codes, time and place, then the words after the bar.
     lines = [line.rpartition("| ")[2].strip() for line in re.sub(r"\x1b\[[0-9;]*m", "", text).splitlines()]
     lines = [line for line in lines if line]

@@ -98,6 +98,10 @@ class Window:
         self.scene.plotter.render()
         return True
 
+    def redraw(self) -> None:
+        """Draw at the next ``spin``, whatever it finds."""
+        self._dirty = True
+
     @property
     def is_open(self) -> bool:
         """Whether it has not been closed yet."""

@@ -1,6 +1,7 @@
 """A moving mesh to a file of another program, the format chosen by the suffix.
 
-A new format is a file with a function ``write(animation, path)`` and a line in ``FORMATS``.
+A new format is a file with a function ``write(animation, path)`` and a line in ``FORMATS``. Points without faces have
+formats of their own.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 from warpdef.errors import InputError
 from warpdef.export.animation import Animation
 from warpdef.export.mesh_folders import OBJ_MARK
+from warpdef.export.points import MovingPoints
 from warpdef.files.disk import reason, sibling
 
 
@@ -55,21 +57,33 @@ FORMATS = {
     "npz": Format("archive:write_npz_animation", "NumPy: vertices (T, V, 3), faces, fps, names, up"),
     "anime": Format("anime:write_anime", "DeformingThings4D"),
 }
-"""Formats by suffix, without the dot."""
+"""Formats of moving meshes by suffix, without the dot."""
+
+POINT_FORMATS = {
+    "ply": Format("points:write_points_ply_folder", "a folder of binary PLY files", is_folder=True),
+    "npz": Format("points:write_points_npz", "NumPy: points (T, N, 3), as a sequence of clouds, names, fps"),
+}
+"""Formats of moving points."""
 
 _NUMBERED = re.compile(r"[0-9]{4,}\.(obj|ply|vtp)")
 
 
-def format_of(path: Path | str, name: str = "") -> Format:
+def format_of(path: Path | str, name: str = "", points: bool = False) -> Format:
     """The format of a name without a dot, or, where that is empty, of the suffix of ``path``.
+
+    Args:
+        points: it is to hold points without faces.
 
     Raises:
         InputError: there is no such format; the message lists those there are.
     """
     path = Path(path)
     key = (name or path.suffix).lower().removeprefix(".")
+    if points and key in FORMATS and key not in POINT_FORMATS:
+        known = " or ".join(f".{key}" for key in POINT_FORMATS)
+        raise InputError(f"{path}: expected {known} for points without faces, got '.{key}', which holds meshes only")
     if key in FORMATS:
-        return FORMATS[key]
+        return (POINT_FORMATS if points else FORMATS)[key]
     hint = {"gltf": "glb", "abc": "usdc", "fbx": "glb", "vtp": "pvd"}.get(key) or next(
         iter(get_close_matches(key, FORMATS, 1)), ""
     )
@@ -98,8 +112,10 @@ def check_place(path: Path | str, form: Format, overwrite: bool = False) -> None
         raise InputError(f"{path}: expected a file in a folder that is there, got '{path.parent}'; make it first")
 
 
-def export(animation: Animation, path: Path | str, *, format: str = "", overwrite: bool = False) -> list[Path]:
-    """Write a moving mesh to ``path`` and, for some formats, to places beside it: all of it, or nothing.
+def export(
+    animation: Animation | MovingPoints, path: Path | str, *, format: str = "", overwrite: bool = False
+) -> list[Path]:
+    """Write a moving mesh, or moving points, to ``path`` and, for some formats, to places beside it: all, or nothing.
 
     Args:
         animation: what to write.
@@ -115,7 +131,7 @@ def export(animation: Animation, path: Path | str, *, format: str = "", overwrit
         MissingPackageError: the format needs a package that is not installed.
     """
     path = Path(path)
-    form = format_of(path, format)
+    form = format_of(path, format, isinstance(animation, MovingPoints))
     check_place(path, form, overwrite)
     module, function = form.writer.split(":")
     write = getattr(importlib.import_module(f"warpdef.export.{module}"), function)

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from warpdef.appearance import Appearance, split_seams
 from warpdef.errors import InputError
+from warpdef.export.pace import frame_names, pace
+from warpdef.export.vertex_normals import vertex_normals
 from warpdef.files.frame_files import select_frames
 from warpdef.mesh import MeshSequence
 
@@ -26,6 +30,7 @@ class Animation:
     metres_per_unit: length of the input's unit, metres
     colors:          red, green, blue and perhaps alpha, sRGB    (V, 3) or (V, 4) uint8, or None
     uv:              texture coordinates, origin lower left      (V, 2) float32, or None
+    normals:         where they are not those of the faces       (T, V, 3) float32, or None
     """
 
     meshes: MeshSequence
@@ -35,6 +40,7 @@ class Animation:
     metres_per_unit: float = 1.0
     colors: np.ndarray | None = None
     uv: np.ndarray | None = None
+    normals: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.fps) and self.fps > 0.0):
@@ -52,23 +58,14 @@ class Animation:
         if len(names) != len(vertices):
             raise InputError(f"frame names: expected {len(vertices)}, got {len(names)}")
         object.__setattr__(self, "names", names)
-        count = vertices.shape[1]
-        if self.colors is not None:
-            colors = np.asarray(self.colors)
-            if colors.dtype != np.uint8 or colors.shape not in ((count, 3), (count, 4)):
-                raise InputError(
-                    f"vertex colours: expected uint8 of shape ({count}, 3) or ({count}, 4), got {colors.dtype} of "
-                    f"{colors.shape}; give one colour a vertex"
-                )
-            object.__setattr__(self, "colors", np.ascontiguousarray(colors))
-        if self.uv is not None:
-            uv = np.asarray(self.uv, dtype=np.float32)
-            if uv.shape != (count, 2) or not np.isfinite(uv).all():
-                raise InputError(
-                    f"texture coordinates: expected finite numbers of shape ({count}, 2), got shape {uv.shape}; "
-                    "give one pair a vertex"
-                )
-            object.__setattr__(self, "uv", np.ascontiguousarray(uv))
+        look = Appearance.checked(vertices.shape[1], len(self.meshes.faces), self.colors, self.uv)
+        object.__setattr__(self, "colors", look.colors)
+        object.__setattr__(self, "uv", look.uv)
+        if self.normals is not None:
+            normals = np.ascontiguousarray(self.normals, dtype=np.float32)
+            if normals.shape != vertices.shape or not np.isfinite(normals).all():
+                raise InputError(f"normals: expected finite numbers of shape {vertices.shape}, got {normals.shape}")
+            object.__setattr__(self, "normals", normals)
 
     def __len__(self) -> int:
         return len(self.meshes)
@@ -88,31 +85,58 @@ class Animation:
         """Seconds from the first frame, shape (T,) float32."""
         return (np.arange(len(self)) / self.fps).astype(np.float32)
 
+    def normals_of(self, frame: int) -> np.ndarray:
+        """Unit normals of a frame, those given or those of the faces, shape (V, 3) float32."""
+        if self.normals is not None:
+            return self.normals[frame]
+        return vertex_normals(self.vertices[frame], self.faces)
+
+
+def dress(
+    vertices: np.ndarray, faces: np.ndarray, look: Appearance, normals: np.ndarray | None = None, **how: Any
+) -> Animation:
+    """A moving mesh with its colours and texture; vertices of a texture's seams are doubled, copies last.
+
+    Args:
+        vertices: shape (T, V, 3). faces: shape (F, 3). normals: shape (T, V, 3). how: other fields of ``Animation``.
+
+    Raises:
+        InputError: something does not fit, or a number is out of range.
+    """
+    colors, uv = look.colors, look.uv
+    if look.corner_uv is not None:
+        source, faces, uv = split_seams(look.corner_uv, faces, vertices.shape[1])
+        vertices = vertices[:, source]
+        colors, normals = None if colors is None else colors[source], None if normals is None else normals[:, source]
+    return Animation(MeshSequence(vertices, faces), colors=colors, uv=uv, normals=normals, **how)
+
 
 def load_animation(
-    path: Path | str, *, frames: slice | None = None, fps: float = FPS, up: str = "y", metres_per_unit: float = 1.0
+    path: Path | str,
+    *,
+    frames: slice | None = None,
+    fps: float = FPS,
+    up: str = "y",
+    metres_per_unit: float = 1.0,
+    slow: float = 1.0,
+    recorded_fps: float | None = None,
 ) -> Animation:
-    """A run folder as an animation; ``vertex_colors`` and ``uv`` of its sequence.npz come along where it has them.
+    """A run folder as an animation, with the colours and texture coordinates of its template where it has them.
+
+    Args:
+        path: the run folder. frames: frames of it to use. fps, up, metres_per_unit: as the fields of ``Animation``.
+        slow, recorded_fps: as in ``pace``.
 
     Raises:
         InputError: not a run folder, damaged, no frame left, or a number out of range.
     """
-    from warpdef.files.numpy_files import Npz
     from warpdef.files.run_folder import load_run
 
     run = load_run(path)
     chosen = select_frames(range(len(run.meshes)), frames, 1, run.path)
-    npz = Npz(run.path / "sequence.npz")
-    colors, uv = (npz.array(name) if name in npz else None for name in ("vertex_colors", "uv"))
-    return Animation(
-        MeshSequence(run.meshes.vertices[chosen], run.meshes.faces),
-        tuple(run.names[t] for t in chosen),
-        fps,
-        up,
-        metres_per_unit,
-        colors,
-        uv,
-    )
+    times = pace(chosen, fps, slow, recorded_fps)
+    how = {"names": frame_names(run.names, times), "fps": fps, "up": up, "metres_per_unit": metres_per_unit}
+    return dress(run.at(times), run.faces, run.appearance, **how)
 
 
 def linear_colors(colors: np.ndarray) -> np.ndarray:

@@ -10,11 +10,11 @@ from warpdef.export.animation import Animation
 
 
 def write_npz_animation(animation: Animation, path: Path) -> None:
-    """The arrays of a result, with what says how to read them; ``vertex_colors`` and ``uv`` where there are any."""
+    """The arrays of a result, with what says how to read them; ``vertex_colors``, ``uv``, ``normals`` where given."""
     arrays = {"vertices": animation.vertices, "faces": animation.faces, "fps": np.float64(animation.fps)}
     arrays |= {"names": np.array(animation.names, dtype=np.str_), "up": np.array(animation.up)}
     arrays["metres_per_unit"] = np.float64(animation.metres_per_unit)
-    optional = {"vertex_colors": animation.colors, "uv": animation.uv}
+    optional = {"vertex_colors": animation.colors, "uv": animation.uv, "normals": animation.normals}
     arrays |= {name: array for name, array in optional.items() if array is not None}
     with open(path, "wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)

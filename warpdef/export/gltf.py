@@ -17,7 +17,6 @@ import numpy as np
 from warpdef import __version__
 from warpdef.errors import InputError
 from warpdef.export.animation import Animation, linear_colors
-from warpdef.export.vertex_normals import vertex_normals
 
 _FLOAT, _UINT, _USHORT = 5126, 5125, 5123
 _VERTICES, _INDICES = 34962, 34963
@@ -33,7 +32,7 @@ def write_glb(animation: Animation, path: Path) -> None:
     """
     buffer = _Buffer()
     vertices, faces = animation.vertices, animation.faces
-    first_normals = vertex_normals(vertices[0], faces)
+    first_normals = animation.normals_of(0)
     attributes = {
         "POSITION": buffer.add(vertices[0], bounds=True, target=_VERTICES),
         "NORMAL": buffer.add(first_normals, target=_VERTICES),
@@ -62,7 +61,9 @@ def write_glb(animation: Animation, path: Path) -> None:
         "materials": [_material(animation)],
     }
     if len(animation) > 1:
-        targets = [(v - vertices[0], vertex_normals(v, faces) - first_normals) for v in vertices[1:]]
+        targets = [
+            (vertices[t] - vertices[0], animation.normals_of(t) - first_normals) for t in range(1, len(vertices))
+        ]
         primitive["targets"] = [
             {
                 "POSITION": buffer.add(offset, bounds=True, target=_VERTICES),

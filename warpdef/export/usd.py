@@ -62,8 +62,13 @@ def _fill(stage: Any, animation: Animation) -> None:
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(animation.faces), 3, dtype=np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(animation.faces.reshape(-1)))
     points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
+    normals = None if animation.normals is None else mesh.CreateNormalsAttr()
+    if normals is not None:
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     for frame, positions in enumerate(animation.vertices):
         points.Set(Vt.Vec3fArray.FromNumpy(positions), frame)
+        if normals is not None:
+            normals.Set(Vt.Vec3fArray.FromNumpy(animation.normals[frame]), frame)
         corners = [Gf.Vec3f(*map(float, corner)) for corner in (positions.min(axis=0), positions.max(axis=0))]
         extent.Set(Vt.Vec3fArray(corners), frame)
     if animation.colors is not None:

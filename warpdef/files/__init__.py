@@ -1,15 +1,17 @@
 """Everything that is read from or written to disk, in one place to import from.
 
-Behind it: ``cloud_files`` and ``mesh_files`` (sequences), ``frame_files`` (numbered files), ``ply``, ``text_formats``
-and ``numpy_files`` (formats), ``disk`` (bytes). Results live in ``run_folder``, the configuration in ``config_file``.
+Behind it: ``cloud_files`` and ``mesh_files`` (sequences), ``frame_files`` (numbered files), ``ply``, ``text_formats``,
+``numpy_files``, ``pcd`` and ``las`` (formats), ``disk`` (bytes). Results live in ``run_folder``, the configuration in
+``config_file``.
 """
 
 from warpdef.files.cloud_files import read_clouds, write_clouds_npz
-from warpdef.files.mesh_files import read_mesh, read_mesh_frames, read_mesh_sequence, same_triangles
+from warpdef.files.mesh_files import read_geometry, read_mesh, read_mesh_frames, read_mesh_sequence, same_triangles
 from warpdef.files.ply import write_ply
 
 __all__ = [
     "read_clouds",
+    "read_geometry",
     "read_mesh",
     "read_mesh_frames",
     "read_mesh_sequence",

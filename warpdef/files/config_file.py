@@ -61,7 +61,7 @@ def load_config(path: Path | str, base: Config | None = None) -> Config:
         ) from None
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not valid TOML: {reason(error)}; mend that line") from None
-    except (OSError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: cannot be read ({reason(error)}); check the path and its permissions") from None
     return config_from_mapping(mapping, base, source=str(path))
 
@@ -123,7 +123,7 @@ def nearest_key(key: str) -> str:
 
 
 def _unknown(key: str, source: str) -> ConfigError:
-    return ConfigError(f"{source}: unknown key '{key}'; did you mean '{nearest_key(key)}'?")
+    return ConfigError(f"{source}: unknown key {key!r:.80}; did you mean '{nearest_key(key)}'?")
 
 
 def _replaced(group: Any, values: dict[str, Any], source: str) -> Any:
@@ -156,5 +156,8 @@ def _shown(value: Any) -> str:
         return "a table"
     if isinstance(value, bool):
         return str(value).lower()
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of very many digits"
     return f"{text if len(text) <= 60 else text[:57] + '...'} ({type(value).__name__})"

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
+import socket
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,6 +31,31 @@ def must_exist(path: Path) -> None:
         raise InputError(f"{path!s:.200}: expected a file or folder, got nothing there; check the path")
 
 
+class Unpacking:
+    """How much a compressed file may unpack to: a small file must not fill the memory.
+
+    All that is unpacked, as it is and as float64, may take ``times`` the file's size and 64 MiB.
+    """
+
+    def __init__(self, path: Path, instead: str, times: int = 9) -> None:
+        self.path, self.instead = path, instead
+        self.allowed = times * path.stat().st_size + (64 << 20)
+        self.left = self.allowed
+
+    def take(self, size: int) -> None:
+        """Count ``size`` bytes as unpacked, before they are.
+
+        Raises:
+            InputError: it is more than the file's size allows.
+        """
+        self.left -= size
+        if self.left < 0:
+            raise InputError(
+                f"{self.path}: expected at most {self.allowed >> 20} MiB of numbers in a compressed file of its size, "
+                f"got {(self.allowed - self.left) >> 20} MiB; if it is not damaged, {self.instead}"
+            )
+
+
 def read_bytes(path: Path) -> bytes:
     """The whole file.
 
@@ -35,7 +63,12 @@ def read_bytes(path: Path) -> bytes:
         InputError: missing, empty, not a file, or not readable.
     """
     try:
+        # Anything else, a pipe for one, may have no end.
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: expected a file, got something else; check the path")
         data = path.read_bytes()
+    except InputError:
+        raise
     except (OSError, ValueError, MemoryError) as error:
         raise InputError(f"{path}: cannot be read ({reason(error)}); check the path and its permissions") from None
     if not data:
@@ -45,7 +78,30 @@ def read_bytes(path: Path) -> bytes:
 
 def sibling(path: Path, ending: str) -> Path:
     """A fresh hidden name beside ``path``, so that a rename to ``path`` stays within one file system."""
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.{ending}")
+    return path.with_name(f".{path.name}.{_machine()}-{os.getpid():x}-{secrets.token_hex(4)}.{ending}")
+
+
+def abandoned(path: Path, ending: str) -> list[Path]:
+    """Siblings of ``path`` that a process of this machine made which is no more: killed before it could clean up."""
+    if os.name != "posix" or not path.parent.is_dir():
+        return []
+    pattern = re.compile(rf"\.{re.escape(path.name)}\.{_machine()}-([0-9a-f]+)-[0-9a-f]{{8}}\.{ending}")
+    found = [(p, pattern.fullmatch(p.name)) for p in path.parent.glob(f".*.{ending}")]
+    return [p for p, match in found if match and not _alive(int(match[1], 16))]
+
+
+def _machine() -> str:
+    return f"{zlib.crc32(socket.gethostname().encode()) & 0xFFFF:04x}"
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        pass
+    return True
 
 
 @contextmanager

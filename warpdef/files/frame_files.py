@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,7 +14,7 @@ from warpdef.files.disk import must_exist, reason
 from warpdef.files.surface import Surface
 
 MESH_SUFFIXES = (".ply", ".obj", ".off")
-CLOUD_SUFFIXES = (*MESH_SUFFIXES, ".xyz", ".npy")
+CLOUD_SUFFIXES = (*MESH_SUFFIXES, ".xyz", ".npy", ".pcd", ".las", ".laz")
 
 _Item = TypeVar("_Item")
 
@@ -24,11 +25,43 @@ def natural_key(name: str) -> tuple:
     return tuple((1, int(p), len(p)) if i % 2 else (0, p, 0) for i, p in enumerate(parts)), name
 
 
+@dataclass(frozen=True)
+class FrameFiles:
+    """The frames of a folder, and what else there could have been taken for one.
+
+    files: in natural order. others: of a suffix that is read, too, but no frames.
+    """
+
+    files: list[Path]
+    others: list[Path]
+
+    @property
+    def notes(self) -> list[str]:
+        """A warning that names what was passed over, if anything."""
+        if not self.others:
+            return []
+        names = ", ".join(f"'{p.name}'" for p in self.others[:3]) + (", ..." if len(self.others) > 3 else "")
+        kind = self.files[0].suffix.lower()
+        return [
+            f"passed over in {self.files[0].parent}: {names}, as the frames are its {len(self.files)} numbered {kind} "
+            "files"
+        ]
+
+
 def frame_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
-    """The frames of a folder in natural order; hidden files and other suffixes are passed over.
+    """The frames of a folder in natural order, as ``find_frames`` tells them from what else it holds."""
+    return find_frames(folder, suffixes).files
+
+
+def find_frames(folder: Path, suffixes: Sequence[str]) -> FrameFiles:
+    """The frames of a folder in natural order: its one series of numbered files.
+
+    Hidden files and other suffixes are passed over silently; files of the suffixes that are not numbered, or whose
+    suffix has no series (a template, a mean), are passed over and told. Without any number, files of one suffix are in
+    natural order, too.
 
     Raises:
-        InputError: none there, more than one of the suffixes, or files with and without a number.
+        InputError: none there, or files of several suffixes none of which is the only one with a series.
     """
     must_exist(folder)
     try:
@@ -41,26 +74,35 @@ def frame_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
         raise InputError(
             f"{folder}: expected numbered files ({' '.join(suffixes)}), got {_what_else(entries, suffixes)}"
         )
+    numbered = [p for p in files if re.search("[0-9]", p.stem)]
+    series = [suffix for suffix, count in Counter(p.suffix.lower() for p in numbered).items() if count > 1]
     kinds = Counter(p.suffix.lower() for p in files)
-    if len(kinds) > 1:
+    if len(series) == 1:
+        frames = [p for p in numbered if p.suffix.lower() == series[0]]
+    elif len(kinds) == 1 and not 0 < len(numbered) < len(files):
+        frames = files
+    elif len(kinds) > 1:
         found = " and ".join(f"{count} {suffix}" for suffix, count in kinds.most_common())
         raise InputError(
             f"{folder}: expected files of one kind, got {found}; put the frames into a folder of their own"
         )
-    unnumbered = [p.name for p in files if not re.search("[0-9]", p.stem)]
-    if unnumbered and len(unnumbered) < len(files):
+    else:
         raise InputError(
-            f"{folder}: expected a number in every file name, got '{min(unnumbered)}' among numbered files; "
-            "number it or move it away"
+            f"{folder}: expected a number in every file name, got '{min(p.name for p in files if p not in numbered)}' "
+            f"and one file with a number; number the frames"
         )
-    return sorted(files, key=lambda p: natural_key(p.stem))
+    others = sorted(set(files) - set(frames))
+    return FrameFiles(sorted(frames, key=lambda p: natural_key(p.stem)), others)
 
 
 def _what_else(entries: Sequence[Path], suffixes: Sequence[str]) -> str:
     """What a folder without frames holds, and what to do about it."""
     for entry in sorted(entries):
-        if entry.is_dir() and any(p.suffix.lower() in suffixes for p in entry.iterdir()):
-            return f"none; its folder '{entry.name}' has some: give that"
+        try:
+            if entry.is_dir() and any(p.suffix.lower() in suffixes for p in entry.iterdir()):
+                return f"none; its folder '{entry.name}' has some: give that"
+        except OSError:
+            continue  # not ours to look into
     archives = sorted(p.name for p in entries if p.suffix.lower() == ".npz")
     if archives:
         return f"none; give the file '{archives[0]}' itself"
@@ -91,8 +133,11 @@ def read_surface(path: Path, suffixes: Sequence[str]) -> Surface:
 
     Raises:
         InputError: missing, an unknown suffix, or anything the format's reader complains about.
+        MissingPackageError: the format needs a package that is not installed.
     """
+    from warpdef.files.las import read_las
     from warpdef.files.numpy_files import read_npy
+    from warpdef.files.pcd import read_pcd
     from warpdef.files.ply import read_ply
     from warpdef.files.text_formats import read_obj, read_off, read_xyz, split_columns
 
@@ -102,11 +147,10 @@ def read_surface(path: Path, suffixes: Sequence[str]) -> Surface:
         raise InputError(
             f"{path}: unknown suffix '{suffix}'{why}; expected one of {' '.join(suffixes)}; convert the file"
         )
-    if suffix == ".npy":
-        return split_columns(read_npy(path).astype("float64"), str(path))
-    reader = {".ply": read_ply, ".obj": read_obj, ".off": read_off, ".xyz": read_xyz}[suffix]
+    readers = {".ply": read_ply, ".obj": read_obj, ".off": read_off, ".xyz": read_xyz, ".pcd": read_pcd}
+    readers |= {".las": read_las, ".laz": read_las, ".npy": lambda p: split_columns(read_npy(p), str(p))}
     try:
-        return reader(path)
+        return readers[suffix](path)
     except InputError:
         raise
     except (ValueError, OverflowError, MemoryError) as error:

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from warpdef.appearance import Appearance
 from warpdef.errors import InputError
 from warpdef.files.disk import must_exist
-from warpdef.files.frame_files import MESH_SUFFIXES, frame_files, read_surface, select_frames
+from warpdef.files.frame_files import CLOUD_SUFFIXES, MESH_SUFFIXES, frame_files, read_surface, select_frames
 from warpdef.files.numpy_files import Npz
+from warpdef.files.surface import Surface
 from warpdef.mesh import MeshSequence, TriMesh
 
 
 def read_mesh(path: Path | str) -> TriMesh:
     """Read one mesh (.ply, .obj, .off); vertex order kept exactly, polygons cut into fans.
+
+    Its colours and texture coordinates, where it has any, are its ``appearance``.
 
     Raises:
         InputError: missing, unknown suffix, damaged, without faces, or with NaN.
@@ -29,7 +34,43 @@ def read_mesh(path: Path | str) -> TriMesh:
         raise InputError(
             f"{path}: a mesh without faces; expected at least one triangle, got only points; give a surface mesh"
         )
-    return _checked(TriMesh, surface.points, surface.faces, path)
+    mesh = _checked(TriMesh, surface.points, surface.faces, path)
+    return replace(mesh, appearance=_appearance(surface, path))
+
+
+def read_geometry(path: Path | str) -> Surface:
+    """Read one mesh or one set of points, of any suffix a cloud may have, with everything that it carries.
+
+    Vertex order is the file's, nothing is merged; normals are made unit length, and left out where one is 0.
+
+    Raises:
+        InputError: missing, a folder, unknown suffix, damaged, without points, or with NaN.
+    """
+    path = Path(path)
+    must_exist(path)
+    if path.is_dir():
+        raise InputError(f"{path}: expected one file of a mesh or of points, got a folder; give one of its files")
+    surface = read_surface(path, CLOUD_SUFFIXES)
+    if not len(surface.points) or not np.isfinite(surface.points).all():
+        raise InputError(f"{path}: expected points with finite coordinates, got none, or NaN or infinity among them")
+    faces = surface.faces if surface.faces is not None and len(surface.faces) else None
+    if faces is not None:
+        faces = _checked(TriMesh, surface.points, faces, path).faces
+    normals = surface.normals
+    if normals is not None:
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = normals / length if np.isfinite(normals).all() and (length > 0).all() else None
+    look = _appearance(surface, path) or Appearance()
+    return Surface(surface.points, normals, faces, look.colors, look.uv, look.corner_uv)
+
+
+def _appearance(surface: Surface, path: Path) -> Appearance | None:
+    counts = len(surface.points), 0 if surface.faces is None else len(surface.faces)
+    try:
+        found = Appearance.checked(*counts, surface.colors, surface.uv, surface.corner_uv)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return found if found.arrays() else None
 
 
 def read_mesh_sequence(path: Path | str, frames: slice | None = None) -> MeshSequence:

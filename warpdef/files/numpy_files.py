@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import struct
 import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -13,12 +15,16 @@ from typing import IO, TypeVar
 import numpy as np
 
 from warpdef.errors import InputError
-from warpdef.files.disk import must_exist, reason, replacing
+from warpdef.files.disk import Unpacking, must_exist, reason, replacing
+
+MAPPED_FROM = 1 << 26
+"""Arrays of at least so many bytes, 64 MiB, that are not compressed are mapped into memory, not read into it."""
 
 _DAMAGE = (
     *(OSError, ValueError, EOFError, MemoryError, OverflowError, RuntimeError, SyntaxError, TypeError, KeyError),
-    *(zlib.error, zipfile.BadZipFile, tokenize.TokenError),
+    *(zlib.error, zipfile.BadZipFile, tokenize.TokenError, struct.error),
 )
+_LOCAL_HEADER = struct.Struct("<4s22xHH")  # signature, and the lengths of name and extra field, which follow it
 _Result = TypeVar("_Result")
 
 
@@ -31,6 +37,8 @@ def read_npy(path: Path) -> np.ndarray:
     must_exist(path)
 
     def read() -> np.ndarray:
+        if not path.is_file():
+            raise ValueError("it is no file")
         with open(path, "rb") as stream:
             return _read_array(stream, path.stat().st_size, str(path))
 
@@ -38,7 +46,9 @@ def read_npy(path: Path) -> np.ndarray:
 
 
 class Npz:
-    """The arrays of an .npz, each read only when asked for.
+    """The arrays of an .npz, each read only when asked for; large ones that are not compressed are mapped in place.
+
+    Members are read by the names that the archive lists; nothing is ever unpacked to disk.
 
     Raises:
         InputError: missing, not an .npz, or its list of arrays is damaged.
@@ -47,45 +57,79 @@ class Npz:
     def __init__(self, path: Path) -> None:
         must_exist(path)
         self.path = path
-        self._sizes = _guarded(self._list, path)
+        self._members = _guarded(self._list, path)
 
-    def _list(self) -> dict[str, int]:
+    def _list(self) -> dict[str, zipfile.ZipInfo]:
+        if not self.path.is_file():
+            raise ValueError("it is no file")
+        self._unpacking = Unpacking(self.path, "write it with np.savez, which does not compress")
         with zipfile.ZipFile(self.path) as archive:
-            return {m.filename[:-4]: m.file_size for m in archive.infolist() if m.filename.endswith(".npy")}
+            return {m.filename[:-4]: m for m in archive.infolist() if m.filename.endswith(".npy")}
 
     @property
     def names(self) -> list[str]:
         """Names of the arrays, in the file's order."""
-        return list(self._sizes)
+        return list(self._members)
 
     def __contains__(self, name: str) -> bool:
-        return name in self._sizes
+        return name in self._members
 
     def header(self, name: str) -> tuple[tuple[int, ...], np.dtype]:
         """Shape and type of an array, without reading it."""
-        return self._with(name, lambda stream: _read_header(stream))
+        return self._with(name, lambda stream: _read_header(stream)[:2])
 
     def array(self, name: str) -> np.ndarray:
-        """One array of numbers.
+        """One array of numbers; read-only where it is mapped.
 
         Raises:
-            InputError: no such array, damaged, or anything but real numbers.
+            InputError: no such array, damaged, anything but real numbers, or far larger than the file's size allows.
         """
-        return self._with(name, lambda stream: _read_array(stream, self._sizes[name], f"{self.path}: {name}"))
+        where = f"{self.path}: {name}"
+
+        def read(stream: IO[bytes]) -> np.ndarray:
+            member = self._members[name]
+            if member.compress_type != zipfile.ZIP_STORED:
+                shape, dtype, _ = _read_header(stream)
+                # As float64 it is a second array, unless it is that already.
+                self._unpacking.take(math.prod(shape) * (dtype.itemsize + (8 if dtype.itemsize != 8 else 0)))
+                stream.seek(0)
+            elif member.file_size >= MAPPED_FROM:
+                return _map_array(self.path, member, where)
+            return _read_array(stream, member.file_size, where)
+
+        return self._with(name, read)
 
     def texts(self, name: str) -> list[str]:
         """An array of strings, as a list."""
-        return self._with(name, lambda stream: np.lib.format.read_array(stream, allow_pickle=False).tolist())
+
+        def read(stream: IO[bytes]) -> list[str]:
+            shape, dtype, _ = _read_header(stream)
+            size = math.prod(shape) * dtype.itemsize
+            if dtype.kind not in "US" or size > self._members[name].file_size:
+                raise ValueError(f"{name} is no text")
+            self._unpacking.take(2 * size)
+            stream.seek(0)
+            return np.lib.format.read_array(stream, allow_pickle=False).astype(np.str_).tolist()
+
+        return self._with(name, read)
 
     def _with(self, name: str, use: Callable[[IO[bytes]], _Result]) -> _Result:
         if name not in self:
             raise InputError(f"{self.path}: expected an array '{name}', got {', '.join(self.names) or 'no arrays'}")
 
         def opened() -> _Result:
-            with zipfile.ZipFile(self.path) as archive, archive.open(f"{name}.npy") as stream:
+            with zipfile.ZipFile(self.path) as archive, archive.open(self._members[name]) as stream:
                 return use(stream)
 
         return _guarded(opened, self.path)
+
+
+def row(array: np.ndarray, index: int) -> np.ndarray:
+    """``array[index]``; of a mapped array by a mapping of its own, so that its pages leave memory together with it."""
+    if not isinstance(array, np.memmap) or not array.flags.c_contiguous or not array[index].size:
+        return array[index]
+    offset = array.offset + index * array.strides[0]
+    return np.memmap(array.filename, dtype=array.dtype, mode="r", offset=offset, shape=array.shape[1:])
 
 
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -100,7 +144,10 @@ def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 def _guarded(read: Callable[[], _Result], path: Path) -> _Result:
     try:
-        return read()
+        # NumPy warns of headers that it has to mend; what cannot be read is refused all the same.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return read()
     except InputError:
         raise
     except _DAMAGE as error:
@@ -110,22 +157,46 @@ def _guarded(read: Callable[[], _Result], path: Path) -> _Result:
         ) from None
 
 
-def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
+def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype, bool]:
+    """Shape, type, and whether the first index runs fastest."""
     version = np.lib.format.read_magic(stream)
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in readers:
         raise ValueError(f"npy version {version}")
-    shape, _, dtype = readers[version](stream)
-    return shape, dtype
+    shape, first_fastest, dtype = readers[version](stream)
+    return shape, dtype, first_fastest
 
 
-def _read_array(stream: IO[bytes], size: int, where: str) -> np.ndarray:
-    shape, dtype = _read_header(stream)
+def _checked_header(stream: IO[bytes], size: int, where: str) -> tuple[tuple[int, ...], np.dtype, bool]:
+    shape, dtype, first_fastest = _read_header(stream)
     if dtype.hasobject:
         raise InputError(f"{where}: expected numbers, got Python objects, which are not read as they can run code")
     if dtype.kind not in "fiu":
         raise InputError(f"{where}: expected real numbers, got {dtype}; convert them to float32")
-    if math.prod(shape) * dtype.itemsize > size - stream.tell():
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > size - stream.tell():
         raise InputError(f"{where}: expected shape {shape} of {dtype}, got fewer data; it is truncated: write it again")
+    return shape, dtype, first_fastest
+
+
+def _read_array(stream: IO[bytes], size: int, where: str) -> np.ndarray:
+    _checked_header(stream, size, where)
     stream.seek(0)
     return np.lib.format.read_array(stream, allow_pickle=False)
+
+
+def _map_array(path: Path, member: zipfile.ZipInfo, where: str) -> np.ndarray:
+    """The array of a member stored as it is: pages are read from the file when they are looked at."""
+    with open(path, "rb") as stream:
+        stream.seek(member.header_offset)
+        signature, name_length, extra_length = _LOCAL_HEADER.unpack(stream.read(_LOCAL_HEADER.size))
+        if signature != b"PK\3\4":
+            raise ValueError("no local header")
+        start = member.header_offset + _LOCAL_HEADER.size + name_length + extra_length
+        if start + member.file_size > path.stat().st_size:
+            raise InputError(f"{where}: expected {member.file_size} bytes, got fewer; it is truncated: write it again")
+        stream.seek(start)
+        shape, dtype, first_fastest = _checked_header(stream, start + member.file_size, where)
+        if math.prod(shape) == 0:
+            return np.zeros(shape, dtype)
+        order = "F" if first_fastest else "C"
+        return np.memmap(path, dtype=dtype, mode="r", offset=stream.tell(), shape=shape, order=order)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
+from array import array
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.files.disk import read_bytes, replacing
-from warpdef.files.surface import Surface, fan_triangles
+from warpdef.files.surface import Surface, byte_colors, fan_triangles
 from warpdef.mesh import check_faces
 
 _TYPES = {
@@ -34,6 +35,8 @@ _TYPES = {
 }
 _ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER_MAX = 1 << 20
+_BLOCK = 1 << 20  # bytes of text that become numbers at once
+_BLANK = re.compile(rb"\s")
 
 
 @dataclass
@@ -42,6 +45,8 @@ class _Element:
     count: int
     # (name, type of a value, type of the list's length or None for a single value)
     properties: list[tuple[str, np.dtype, np.dtype | None]] = field(default_factory=list)
+    # whether the header declares whole numbers, which an ASCII body's doubles no longer tell
+    is_whole: dict[str, bool] = field(default_factory=dict)
 
     def row_dtype(self, lengths: dict[str, int]) -> np.dtype:
         """Layout of a row whose lists have the given lengths."""
@@ -55,7 +60,10 @@ class _Element:
 
 
 def read_ply(path: Path) -> Surface:
-    """Points, normals (``nx ny nz``) and faces of a PLY file.
+    """Points, normals (``nx ny nz``), colours, texture coordinates and faces of a PLY file.
+
+    Colours are ``red green blue`` and perhaps ``alpha``, bytes or fractions of 1; texture coordinates are ``s t``,
+    ``u v`` or ``texture_u texture_v`` of a vertex, or ``texcoord`` of a triangle's corners.
 
     Raises:
         InputError: not a PLY file, a damaged header, no x, y, z, or fewer data than the header declares.
@@ -63,21 +71,25 @@ def read_ply(path: Path) -> Surface:
     data = read_bytes(path)
     elements, ascii_body, offset = _parse_header(data, str(path))
     buffer = _numbers(data[offset:], str(path)) if ascii_body else memoryview(data)[offset:]
-    points = normals = faces = None
+    points = normals = faces = colors = uv = corner_uv = None
     for element in elements:
         columns, buffer = _read_element(element, buffer, str(path))
         if element.name == "vertex":
             points = _three_columns(columns, ("x", "y", "z"))
             normals = _three_columns(columns, ("nx", "ny", "nz"))
+            colors, uv = _colors(columns, element), _texture(columns)
             if points is None:
                 raise InputError(f"{path}: expected vertex properties x, y, z, got {', '.join(columns) or 'none'}")
         elif element.name == "face":
             indices = columns.get("vertex_indices", columns.get("vertex_index"))
             if isinstance(indices, tuple):
                 faces = fan_triangles(_whole_numbers(indices[0], str(path)), indices[1], str(path))
+                wedges = columns.get("texcoord")
+                if isinstance(wedges, tuple) and (indices[1] == 3).all() and (wedges[1] == 6).all():
+                    corner_uv = wedges[0].reshape(-1, 3, 2).astype(np.float64)
     if points is None:
         raise InputError(f"{path}: expected an element 'vertex' in the PLY header, got none; export the points")
-    return Surface(points, normals, faces)
+    return Surface(points, normals, faces, colors, uv, corner_uv)
 
 
 def _parse_header(data: bytes, where: str) -> tuple[list[_Element], bool, int]:
@@ -103,6 +115,7 @@ def _parse_header(data: bytes, where: str) -> tuple[list[_Element], bool, int]:
                 elements[-1].properties.append((words[4], value, length))
             elif words[0] == "property":
                 elements[-1].properties.append((words[2], _value_type(words[1], form, order), None))
+                elements[-1].is_whole[words[2]] = _TYPES[words[1]][0] in "iu"
             else:
                 raise KeyError
         except (KeyError, IndexError, ValueError):
@@ -120,10 +133,16 @@ def _value_type(word: str, form: str | None, order: str) -> np.dtype:
 
 
 def _numbers(body: bytes, where: str) -> memoryview:
+    # Block by block: as words the numbers would take twenty times the memory.
+    numbers, at = array("d"), 0
     try:
-        return memoryview(np.array([float(word) for word in body.split()]).tobytes())
+        while at < len(body):
+            end = _BLANK.search(body, at + _BLOCK)
+            numbers.extend([float(word) for word in body[at : end.start() if end else len(body)].split()])
+            at = end.end() if end else len(body)
     except ValueError as error:
         raise InputError(f"{where}: expected numbers after the PLY header, got something else ({error})") from None
+    return memoryview(numbers).cast("B")
 
 
 def _read_element(element: _Element, buffer: memoryview, where: str) -> tuple[dict, memoryview]:
@@ -177,8 +196,8 @@ def _first_lengths(element: _Element, buffer: memoryview, where: str) -> dict[st
 
 def _walk_rows(element: _Element, buffer: memoryview, where: str) -> tuple[dict, memoryview]:
     """Rows of unequal length, one after the other."""
-    pieces: dict[str, list] = {name: [] for name, _, _ in element.properties}
-    counts: dict[str, list[int]] = {name: [] for name, _, length in element.properties if length is not None}
+    pieces = {name: bytearray() for name, _, _ in element.properties}
+    counts = {name: array("q") for name, _, length in element.properties if length is not None}
     at = 0
     for _ in range(element.count):
         for name, value, length in element.properties:
@@ -188,12 +207,12 @@ def _walk_rows(element: _Element, buffer: memoryview, where: str) -> tuple[dict,
                 at += length.itemsize
                 counts[name].append(number)
             _require_bytes(element, at + number * value.itemsize, buffer, where)
-            pieces[name].append(buffer[at : at + number * value.itemsize])
+            pieces[name] += buffer[at : at + number * value.itemsize]
             at += number * value.itemsize
     columns = {}
     for name, value, length in element.properties:
-        flat = np.frombuffer(b"".join(pieces[name]), value)
-        columns[name] = flat if length is None else (flat, np.array(counts[name]))
+        flat = np.frombuffer(pieces[name], value)
+        columns[name] = flat if length is None else (flat, np.array(counts[name], dtype=np.int64))
     return columns, buffer[at:]
 
 
@@ -204,6 +223,25 @@ def _three_columns(columns: dict, names: tuple[str, str, str]) -> np.ndarray | N
     # A damaged file may hold signalling NaNs, of which NumPy would warn; they are refused later by their frame's name.
     with np.errstate(invalid="ignore"):
         return np.stack(found, axis=1).astype(np.float64)
+
+
+def _colors(columns: dict, element: _Element) -> np.ndarray | None:
+    names = [name for name in ("red", "green", "blue", "alpha") if isinstance(columns.get(name), np.ndarray)]
+    if names[:3] != ["red", "green", "blue"]:
+        return None
+    found = np.stack([columns[name] for name in names], axis=1)
+    if found.dtype == np.uint8:
+        return found
+    return byte_colors(found, element.is_whole["red"])
+
+
+def _texture(columns: dict) -> np.ndarray | None:
+    for pair in (("s", "t"), ("u", "v"), ("texture_u", "texture_v")):
+        found = [columns.get(name) for name in pair]
+        if all(isinstance(column, np.ndarray) for column in found):
+            with np.errstate(invalid="ignore"):
+                return np.stack(found, axis=1).astype(np.float64)
+    return None
 
 
 def _whole_numbers(values: np.ndarray, where: str) -> np.ndarray:

@@ -1,13 +1,16 @@
 """The folder of one run: complete or not there, never half, and nothing of anyone else's is ever deleted.
 
-    sequence.npz   vertices (T, V, 3) float32 in input units, faces (F, 3) int32, keyframe, names (T,)
+    sequence.npz   vertices (T, V, 3) in input units, float32 (far from the origin float64), faces (F, 3) int32,
+                   keyframe, names (T,); of a template given vertex_colors and uv or corner_uv, where it has any
+    motion.npz     the deformation grids, for `warpdef deform`
     meshes/        0000.ply, 0001.ply, ...: the same, one mesh a frame
     config.toml    the configuration, whole
     report.json    what happened
     steps.jsonl    the loss curve, a line an iteration
     metrics.json   added by an evaluation
 
-It is written under a hidden name beside its place and renamed at the end.
+It is written under a hidden name beside its place and renamed at the end. Beside it, while a run is unfinished, lies
+its checkpoint, ``.NAME.checkpoint``.
 """
 
 from __future__ import annotations
@@ -16,37 +19,44 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdef.appearance import Appearance
 from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.files.config_file import config_to_toml, load_config
-from warpdef.files.disk import must_exist, read_bytes, reason, replacing, sibling
+from warpdef.files.disk import abandoned, must_exist, read_bytes, reason, replacing, sibling
 from warpdef.files.json_text import json_text
 from warpdef.files.mesh_files import read_mesh_sequence
 from warpdef.files.numpy_files import Npz, write_npz
 from warpdef.files.ply import write_ply
-from warpdef.mesh import MeshSequence
+from warpdef.mesh import MeshSequence, float32_where_exact
+from warpdef.result import Moving
+
+if TYPE_CHECKING:
+    from warpdef.motion.grid_motion import GridMotion
 
 _REQUIRED = ("sequence.npz", "config.toml", "report.json")
-_OWN = {*_REQUIRED, "steps.jsonl", "metrics.json", "meshes"}
+_OWN = {*_REQUIRED, "motion.npz", "steps.jsonl", "metrics.json", "meshes"}
 # Left behind by file browsers, of no one's making.
 _LITTER = {".DS_Store", "Thumbs.db", "desktop.ini"}
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(Moving):
     """A run read back; see ``load_run``.
 
-    meshes:   the result, input units   T frames, V vertices, F faces
-    keyframe: index of the template's frame
-    names:    the input's frame names   T strings
-    config:   the configuration of the run
-    report:   contents of report.json
+    meshes:     the result, input units   T frames, V vertices, F faces
+    keyframe:   index of the template's frame
+    names:      the input's frame names   T strings
+    config:     the configuration of the run
+    report:     contents of report.json
+    appearance: colours and texture coordinates of the template given, where it had any
     """
 
     path: Path
@@ -55,6 +65,44 @@ class Run:
     names: tuple[str, ...]
     config: Config
     report: dict[str, Any]
+    appearance: Appearance = field(default_factory=Appearance)
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """Positions, shape (T, V, 3), input units."""
+        return self.meshes.vertices
+
+    @property
+    def faces(self) -> np.ndarray:
+        """Triangles, shape (F, 3) int32."""
+        return self.meshes.faces
+
+    @cached_property
+    def motion(self) -> GridMotion:
+        """The deformation grids, read when first asked for.
+
+        Raises:
+            InputError: the folder has none, or they are damaged or of other frames.
+        """
+        from warpdef.motion.grid_motion import GridMotion
+
+        path = self.path / "motion.npz"
+        if not path.is_file():
+            raise InputError(
+                f"{path}: expected the run's motion, got a result without it (of an earlier version, or not of "
+                f"`warpdef reconstruct`); reconstruct again with --config {self.path / 'config.toml'}"
+            )
+        npz = Npz(path)
+        try:
+            motion = GridMotion.from_arrays({name: npz.array(name) for name in npz.names})
+        except InputError as error:
+            raise InputError(error if str(path) in str(error) else f"{path}: {error}; reconstruct again") from None
+        if (len(motion), motion.keyframe) != (len(self.meshes), self.keyframe):
+            raise InputError(
+                f"{path}: expected {len(self.meshes)} frames and keyframe {self.keyframe} as the meshes have, got "
+                f"{len(motion)} and {motion.keyframe}; it belongs to another run: reconstruct again"
+            )
+        return motion
 
 
 @dataclass(frozen=True)
@@ -64,18 +112,32 @@ class RunFolder:
     path: Path
     overwrite: bool
 
+    @property
+    def checkpoint(self) -> Path:
+        """Where an unfinished run keeps its state."""
+        return self.path.with_name(f".{self.path.name}.checkpoint")
+
     @classmethod
-    def prepare(cls, path: Path | str, overwrite: bool = False) -> RunFolder:
+    def prepare(cls, path: Path | str, overwrite: bool = False, resume: bool = False) -> RunFolder:
         """Check, before the long computation, that a result can be put at ``path``; leaves nothing behind.
 
+        With ``resume`` the place is that of an unfinished run that now goes on: its files are its own to replace.
+
         Raises:
-            InputError: something stands there and ``overwrite`` is false, or it is not a warpdef result, or the
-                place cannot be written.
+            InputError: something stands there and ``overwrite`` is false, an unfinished run included, or it is not a
+                warpdef result, or the place cannot be written.
         """
+        overwrite = overwrite or resume
         try:
             # A link is followed once, now, so that its target is what is judged and replaced.
             folder = cls(Path(os.path.realpath(path)), overwrite)
+            folder._clear_up()
             _check_place(folder.path, overwrite)
+            if not overwrite and folder.checkpoint.exists():
+                raise InputError(
+                    f"{path}: an unfinished run is kept beside it; go on with --resume {path}, "
+                    "or begin anew with --overwrite"
+                )
             ground = next(p for p in folder.path.parents if p.exists())
             probe = sibling(ground / folder.path.name, "partial")
             probe.mkdir()
@@ -85,6 +147,17 @@ class RunFolder:
                 raise
             raise InputError(f"{path!s:.200}: cannot be created ({reason(error)}); choose another place") from None
         return folder
+
+    def _clear_up(self) -> None:
+        """Mend what processes that were killed while writing here have left."""
+        for old in abandoned(self.path, "old"):
+            if not os.path.lexists(self.path):  # killed between two renames: the older result still stands
+                os.rename(old, self.path)
+            shutil.rmtree(old, ignore_errors=True)
+        for half in abandoned(self.path, "partial"):
+            shutil.rmtree(half, ignore_errors=True)
+        for half in abandoned(self.checkpoint, "partial"):
+            half.unlink(missing_ok=True)
 
     def save(
         self,
@@ -96,11 +169,13 @@ class RunFolder:
         report: Mapping[str, Any] | Callable[[], Mapping[str, Any]],
         steps: Iterable[Mapping[str, Any]],
         names: Sequence[str],
+        motion: GridMotion | None = None,
+        appearance: Appearance | None = None,
     ) -> Path:
         """Write the whole result and move it into place.
 
         Args:
-            vertices: shape (T, V, 3), input units; stored as float32.
+            vertices: shape (T, V, 3), input units; stored as float32, or float64 where that would lose some shape.
             faces: shape (F, 3).
             keyframe: index of the template's frame.
             config: the resolved configuration.
@@ -108,6 +183,8 @@ class RunFolder:
                 tell how long the writing took.
             steps: for steps.jsonl, a mapping an iteration.
             names: T names of the input's frames.
+            motion: the deformation grids; None: the run cannot be used by ``deform``.
+            appearance: colours and texture coordinates of the mesh.
 
         Returns:
             The folder, absolute.
@@ -117,7 +194,7 @@ class RunFolder:
                 an older result still stands. If the place was taken meanwhile, the result is kept beside it, and the
                 message says where.
         """
-        sequence = MeshSequence(np.asarray(vertices, dtype=np.float32), faces)
+        sequence = MeshSequence(float32_where_exact(np.asarray(vertices)), faces)
         if len(names) != len(sequence) or not 0 <= keyframe < len(sequence):
             raise InputError(
                 f"{self.path}: expected {len(sequence)} frame names and a keyframe among them, "
@@ -128,7 +205,10 @@ class RunFolder:
             (temporary / "meshes").mkdir(parents=True)
             arrays = {"vertices": sequence.vertices, "faces": sequence.faces}
             arrays |= {"keyframe": np.array(keyframe, dtype=np.int64), "names": np.array(names, dtype=np.str_)}
+            arrays |= {} if appearance is None else appearance.arrays()
             write_npz(temporary / "sequence.npz", arrays)
+            if motion is not None:
+                write_npz(temporary / "motion.npz", motion.arrays())
             for frame, positions in enumerate(sequence.vertices):
                 write_ply(temporary / "meshes" / f"{frame:04d}.ply", positions, sequence.faces)
             _write_text(temporary / "config.toml", config_to_toml(config))
@@ -166,7 +246,12 @@ def load_run(path: Path | str) -> Run:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path / 'report.json'}: not valid JSON ({reason(error)}); run again") from None
-    return Run(path, meshes, keyframe, names, load_config(path / "config.toml"), report)
+    look = {name: npz.array(name) for name in Appearance.NAMES if name in npz}
+    try:
+        appearance = Appearance.from_arrays(look, meshes.vertices.shape[1], len(meshes.faces))
+    except InputError as error:
+        raise InputError(f"{npz.path}: {error}") from None
+    return Run(path, meshes, keyframe, names, load_config(path / "config.toml"), report, appearance)
 
 
 def write_metrics(path: Path | str, metrics: Mapping[str, Any]) -> Path:

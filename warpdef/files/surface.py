@@ -13,14 +13,20 @@ from warpdef.errors import InputError
 class Surface:
     """Contents of one cloud or mesh file, vertex order as in the file, nothing merged.
 
-    points:  positions, input units          (N, 3) float64
-    normals: as stored, any length, or None  (N, 3) float64
-    faces:   polygons cut into fans, or None (F, 3) int64
+    points:    positions, input units                                (N, 3) float64
+    normals:   as stored, any length, or None                        (N, 3) float64
+    faces:     polygons cut into fans, or None                       (F, 3) int64
+    colors:    of the points, or None                                (N, 3) or (N, 4) uint8
+    uv:        texture coordinates of the points, or None            (N, 2) float64
+    corner_uv: those of the faces' corners, where they differ        (F, 3, 2) float64
     """
 
     points: np.ndarray
     normals: np.ndarray | None = None
     faces: np.ndarray | None = None
+    colors: np.ndarray | None = None
+    uv: np.ndarray | None = None
+    corner_uv: np.ndarray | None = None
 
 
 def fan_triangles(indices: np.ndarray, counts: np.ndarray, where: str) -> np.ndarray:
@@ -45,4 +51,25 @@ def fan_triangles(indices: np.ndarray, counts: np.ndarray, where: str) -> np.nda
     start = np.cumsum(counts) - counts
     first = np.repeat(start, triangles)
     step = np.arange(len(first)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
-    return np.asarray(indices, dtype=np.int64)[np.stack([first, first + step + 1, first + step + 2], axis=1)]
+    indices, faces = np.asarray(indices, dtype=np.int64), np.empty((len(first), 3), dtype=np.int64)
+    # A column at a time takes half the memory.
+    for corner, place in enumerate((first, first + step + 1, first + step + 2)):
+        faces[:, corner] = indices[place]
+    return faces
+
+
+def byte_colors(values: np.ndarray, whole: bool = False) -> np.ndarray:
+    """Colours as bytes: ``whole`` ones as they are, others fractions of 1 unless one goes beyond; shape kept."""
+    with np.errstate(invalid="ignore"):
+        values = np.nan_to_num(values.astype(np.float64))
+        whole = whole or bool((values > 1.0).any())
+        return np.clip(np.rint(values if whole else values * 255.0), 0, 255).astype(np.uint8)
+
+
+def vertex_or_corner_uv(
+    corner_uv: np.ndarray, faces: np.ndarray, vertex_count: int
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Texture coordinates by vertex (V, 2) where each vertex has only one place, else by corner (F, 3, 2)."""
+    uv = np.zeros((vertex_count, 2))
+    uv[faces] = corner_uv
+    return (uv, None) if np.array_equal(uv[faces], corner_uv) else (None, corner_uv)

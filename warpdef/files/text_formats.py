@@ -2,57 +2,77 @@
 
 from __future__ import annotations
 
+import io
 import re
+from array import array
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.files.disk import read_bytes
-from warpdef.files.surface import Surface, fan_triangles
+from warpdef.files.surface import Surface, byte_colors, fan_triangles, vertex_or_corner_uv
+
+_BLOCK = 1 << 14  # rows that are kept as words before they become numbers
 
 
 def read_obj(path: Path) -> Surface:
-    """Vertices, faces and vertex normals of an OBJ file; textures, materials and groups are passed over.
+    """Vertices, faces, normals, texture coordinates and vertex colours of an OBJ file; materials are passed over.
 
-    Normals are taken where there are as many ``vn`` as ``v`` and no face pairs a vertex with another's normal.
+    Normals are taken where there are as many ``vn`` as ``v`` and no face pairs a vertex with another's normal; texture
+    coordinates where all corners of all faces have them; colours where every ``v`` has six numbers.
 
     Raises:
         InputError: no vertices, a line that is no vertex or face, or an index that points nowhere.
     """
-    text = read_bytes(path).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
-    vertices: list[list[bytes]] = []
-    normals: list[list[bytes]] = []
-    indices: list[int] = []
-    counts: list[int] = []
+    text = read_bytes(path)
+    if b"\\" in text:
+        text = text.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    vertices, normals = _Rows(f"{path}: vertex"), _Rows(f"{path}: normal")
+    textures, colors = _Rows(f"{path}: texture coordinate"), _Rows(f"{path}: vertex colour")
+    indices, counts, texture_indices = array("q"), array("q"), array("q")
     paired = True
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in _lines(text):
         words = line.split()
         if not words:
             continue
         if words[0] == b"v":
-            vertices.append(words[1:4])
+            vertices.add(words[1:4])
+            if len(words) == 7:
+                colors.add(words[4:7])
         elif words[0] == b"vn":
-            normals.append(words[1:4])
+            normals.add(words[1:4])
+        elif words[0] == b"vt":
+            textures.add([*words[1:3], b"0", b"0"][:3])
         elif words[0] == b"f":
             corners = words[1 : words.index(b"#")] if b"#" in words else words[1:]
             try:
                 for corner in corners:
                     parts = corner.split(b"/")
-                    index = int(parts[0])
-                    indices.append(index - 1 if index > 0 else len(vertices) + index)
+                    index = _index(parts[0])
+                    indices.append(index - 1 if index > 0 else vertices.count + index)
+                    if len(parts) > 1 and parts[1]:
+                        texture = _index(parts[1])
+                        texture_indices.append(texture - 1 if texture > 0 else textures.count + texture)
                     if len(parts) == 3 and parts[2]:
                         normal = int(parts[2])
-                        paired &= (normal - 1 if normal > 0 else len(normals) + normal) == indices[-1]
+                        paired &= (normal - 1 if normal > 0 else normals.count + normal) == indices[-1]
             except ValueError:
                 raise InputError(f"{path}: line {number}: expected a face like 'f 1 2 3', got {_shown(line)}") from None
             counts.append(len(corners))
-    if not vertices:
+    if not vertices.count:
         raise InputError(f"{path}: expected lines 'v x y z', got none; export the vertices")
-    points = _table(vertices, f"{path}: vertex")
-    usable = len(normals) == len(vertices) and paired
-    faces = fan_triangles(_indices(indices, len(points), str(path)), np.array(counts), str(path)) if counts else None
-    return Surface(points, _table(normals, f"{path}: normal") if usable else None, faces)
+    usable = normals.count == vertices.count and paired
+    faces = fan_triangles(_indices(indices, vertices.count, str(path)), counts, str(path)) if counts else None
+    shades = byte_colors(colors.table()) if colors.count == vertices.count else None
+    uv = corner_uv = None
+    if faces is not None and len(texture_indices) == len(indices):
+        places = textures.table()[:, :2]
+        corners = fan_triangles(_indices(texture_indices, len(places), str(path)), counts, str(path))
+        uv, corner_uv = vertex_or_corner_uv(places[corners], faces, vertices.count)
+    return Surface(vertices.table(), normals.table() if usable else None, faces, shades, uv, corner_uv)
 
 
 def read_off(path: Path) -> Surface:
@@ -61,44 +81,51 @@ def read_off(path: Path) -> Surface:
     Raises:
         InputError: not an OFF file, binary OFF, another dimension than 3, or fewer lines than declared.
     """
-    text = re.sub(rb"#[^\r\n]*", b"", read_bytes(path))
-    lines = [words for line in text.splitlines() if (words := line.split())]
+    text = read_bytes(path)
+    if b"#" in text:
+        text = re.sub(rb"#[^\r\n]*", b"", text)
+    rows = (words for _, line in _lines(text) if (words := line.split()))
+    first = next(rows, [])
     # The counts may follow the keyword on its own line, and some writers leave the blank or the keyword out.
-    keyword = re.match(rb"(ST)?(C)?(N)?(4)?(n)?OFF", lines[0][0]) if lines else None
+    keyword = re.match(rb"(ST)?(C)?(N)?(4)?(n)?OFF", first[0]) if first else None
     has_normals = bool(keyword and keyword[3])
     if keyword:
-        if keyword[4] or keyword[5] or b"BINARY" in lines[0]:
-            raise InputError(f"{path}: expected ASCII OFF in three dimensions, got {b' '.join(lines[0])[:40]!r}")
-        rest = [word for word in (lines[0][0][keyword.end() :], *lines[0][1:]) if word]
-        lines = ([rest] if rest else []) + lines[1:]
+        if keyword[4] or keyword[5] or b"BINARY" in first:
+            raise InputError(f"{path}: expected ASCII OFF in three dimensions, got {b' '.join(first)[:40]!r}")
+        first = [word for word in (first[0][keyword.end() :], *first[1:]) if word] or next(rows, [])
     try:
-        vertex_count, face_count = (int(word) for word in lines[0][:2])
+        vertex_count, face_count = (int(word) for word in first[:2])
         if vertex_count < 0 or face_count < 0:
             raise ValueError
     except (ValueError, IndexError):
         raise InputError(f"{path}: expected OFF with its counts of vertices and faces, got something else") from None
-    if len(lines) - 1 < vertex_count + face_count:
-        raise InputError(
-            f"{path}: expected {vertex_count} vertices and {face_count} faces as OFF declares, got {len(lines) - 1} "
-            "lines; the file is truncated: write it again"
-        )
-    columns = _table([words[: 6 if has_normals else 3] for words in lines[1 : 1 + vertex_count]], f"{path}: vertex")
-    if has_normals and columns.shape[1] != 6 and vertex_count:
-        raise InputError(f"{path}: expected 6 columns in a NOFF file, got {columns.shape[1]}")
-    indices, counts = [], []
-    for face, words in enumerate(lines[1 + vertex_count : 1 + vertex_count + face_count]):
+    vertices, found = _Rows(f"{path}: vertex"), 0
+    for words in islice(rows, min(vertex_count, len(text))):
+        vertices.add(words[: 6 if has_normals else 3])
+        found += 1
+    indices, counts = array("q"), array("q")
+    for words in islice(rows, min(face_count, len(text))):
         try:
             count = int(words[0])
-            corners = [int(word) for word in words[1 : 1 + max(count, 0)]]
+            corners = [_index(word) for word in words[1 : 1 + max(count, 0)]]
+            if count < 1 or len(corners) != count:
+                raise ValueError
+            indices.extend(corners)
         except ValueError:
-            count, corners = 0, []
-        if count < 1 or len(corners) != count:
             raise InputError(
-                f"{path}: face {face}: expected a count and as many indices, got {_shown(b' '.join(words))}"
-            )
+                f"{path}: face {len(counts)}: expected a count and as many indices, got {_shown(b' '.join(words))}"
+            ) from None
         counts.append(count)
-        indices += corners
-    faces = fan_triangles(_indices(indices, vertex_count, str(path)), np.array(counts), str(path)) if counts else None
+        found += 1
+    if found < vertex_count + face_count:
+        raise InputError(
+            f"{path}: expected {vertex_count} vertices and {face_count} faces as OFF declares, got {found} "
+            "lines; the file is truncated: write it again"
+        )
+    columns = vertices.table()
+    if has_normals and columns.shape[1] != 6 and vertex_count:
+        raise InputError(f"{path}: expected 6 columns in a NOFF file, got {columns.shape[1]}")
+    faces = fan_triangles(_indices(indices, vertex_count, str(path)), counts, str(path)) if counts else None
     return Surface(columns[:, :3], columns[:, 3:] if has_normals else None, faces)
 
 
@@ -108,68 +135,118 @@ def read_xyz(path: Path) -> Surface:
     Raises:
         InputError: other columns, something that is no number, or colours where normals should be.
     """
-    rows = []
     text = read_bytes(path).replace(b",", b" ")
     if any(mark in text for mark in (b"#", b"//", b";")):
         text = re.sub(rb"(#|//|;)[^\r\n]*", b"", text)
-    for number, line in enumerate(text.splitlines(), 1):
+    rows = _Rows(f"{path}: row")
+    for number, line in _lines(text):
         words = line.split()
         if words:
-            if len(words) not in (3, 6) or len(words) != len(rows[0] if rows else words):
-                expected = f"{len(rows[0])} columns as before" if rows else "3 columns (x y z) or 6 (and normals)"
+            if len(words) not in (3, 6) or len(words) != (rows.width or len(words)):
+                expected = f"{rows.width} columns as before" if rows.width else "3 columns (x y z) or 6 (and normals)"
                 raise InputError(f"{path}: line {number}: expected {expected}, got {len(words)}: {_shown(line)}")
-            rows.append(words)
-    return split_columns(_table(rows, f"{path}: row"), str(path))
+            rows.add(words)
+    return split_columns(rows.table(), str(path))
 
 
 def split_columns(columns: np.ndarray, where: str) -> Surface:
-    """Positions and, with 6 columns, normals; shape (N, 3) or (N, 6).
+    """Positions and, with 6 columns, normals; shape (N, 3) or (N, 6), any type; the result is float64.
 
     Raises:
         InputError: another shape, or colours in columns 4 to 6: nowhere negative, and not of unit length.
     """
     if columns.ndim != 2 or columns.shape[1] not in (3, 6):
         raise InputError(f"{where}: expected shape (N, 3), or (N, 6) with normals, got {columns.shape}")
+    with np.errstate(invalid="ignore", over="ignore"):
+        columns = np.asarray(columns, dtype=np.float64)
     if columns.shape[1] == 3:
         return Surface(columns)
     normals = columns[:, 3:]
-    if len(normals) and (normals >= 0).all() and (np.abs(np.linalg.norm(normals, axis=1) - 1) > 0.05).any():
+    if len(normals) and (normals >= 0).all() and not _all_unit(normals):
         raise InputError(
             f"{where}: expected normals in columns 4 to 6, got what looks like colours; keep columns 1 to 3"
         )
     return Surface(columns[:, :3], normals)
 
 
-def _table(rows: list[list[bytes]], what: str) -> np.ndarray:
-    """Words to float64, shape (rows, columns); at least three columns, all rows alike."""
-    if not rows:
-        return np.zeros((0, 3))
-    try:
-        width = max(3, len(rows[0]))
-        if all(len(row) == width for row in rows):
-            return np.array([float(word) for row in rows for word in row]).reshape(-1, width)
-    except ValueError:
-        pass
-    for number, row in enumerate(rows):
+def _all_unit(normals: np.ndarray) -> bool:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool((np.abs(np.linalg.norm(normals, axis=1) - 1) <= 0.05).all())
+
+
+class _Rows:
+    """Rows of words that become float64 block by block: as words they would take thirty times the memory.
+
+    what: what a row is called in errors. count: rows so far. width: columns of every row, set by the first; at least 3.
+    """
+
+    def __init__(self, what: str) -> None:
+        self.what, self.count, self.width = what, 0, 0
+        self._numbers, self._words = array("d"), []
+
+    def add(self, words: list[bytes]) -> None:
+        """Append a row.
+
+        Raises:
+            InputError: at the end of a block, if one of its rows has another width or something that is no number.
+        """
+        self.width = self.width or max(3, len(words))
+        self._words.append(words)
+        self.count += 1
+        if len(self._words) == _BLOCK:
+            self._convert()
+
+    def table(self) -> np.ndarray:
+        """All rows, shape (count, width).
+
+        Raises:
+            InputError: as ``add``.
+        """
+        self._convert()
+        # Not copied; a buffer of nothing has no view.
+        numbers = np.frombuffer(self._numbers) if self._numbers else np.zeros(0)
+        return numbers.reshape(-1, self.width or 3)
+
+    def _convert(self) -> None:
+        words, self._words = self._words, []
         try:
-            if len([float(word) for word in row]) == max(3, len(rows[0])):
-                continue
+            if all(len(row) == self.width for row in words):
+                self._numbers.extend([float(word) for row in words for word in row])
+                return
         except ValueError:
             pass
-        expected = max(3, len(rows[0]))
-        raise InputError(
-            f"{what} {number}: expected {expected} numbers, got {_shown(b' '.join(row))}; write the file again"
-        )
-    raise InputError(f"{what}s: expected rows of numbers; write the file again")
+        for number, row in enumerate(words, self.count - len(words)):
+            try:
+                if len([float(word) for word in row]) == self.width:
+                    continue
+            except ValueError:
+                pass
+            raise InputError(
+                f"{self.what} {number}: expected {self.width} numbers, got {_shown(b' '.join(row))}; "
+                "write the file again"
+            )
 
 
-def _indices(indices: list[int], vertex_count: int, where: str) -> np.ndarray:
-    # Checked on Python integers: a huge one must not overflow on its way into an array.
-    if indices and (min(indices) < 0 or max(indices) >= vertex_count):
+def _lines(text: bytes) -> Iterator[tuple[int, bytes]]:
+    """Lines and their numbers from 1, one at a time; they may end as on any system."""
+    if b"\r" in text:
+        text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return enumerate(io.BytesIO(text), 1)
+
+
+def _index(word: bytes) -> int:
+    """An index; one too large for 64 bits becomes one that is surely not there."""
+    index = int(word)
+    return index if abs(index) < 1 << 60 else -(1 << 60)
+
+
+def _indices(indices: array, vertex_count: int, where: str) -> np.ndarray:
+    numbers = np.array(indices, dtype=np.int64)
+    if len(numbers) and (numbers.min() < 0 or numbers.max() >= vertex_count):
         raise InputError(
             f"{where}: a face names a vertex that is not there (there are {vertex_count}); the file is damaged"
         )
-    return np.array(indices, dtype=np.int64)
+    return numbers
 
 
 def _shown(line: bytes) -> str:

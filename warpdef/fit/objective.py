@@ -6,7 +6,7 @@
 An evaluation is four phases, each of tasks that write apart from one another:
 
     move      a transition moves its cloud and compares it with the next; vertices run through all steps
-    compare   a frame compares its vertices with its cloud, and its edges with its neighbours' edges
+    compare   a frame compares its vertices with its cloud; edges are compared with themselves a frame on
     trust     the confidence of every frame
     pull      vertices run back, and leave a six-vector gradient a step
 
@@ -24,7 +24,7 @@ from warpdef.fit.problem import Problem
 from warpdef.fit.workers import Phase
 from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.chamfer import fixed_to_moving, moving_to_fixed
-from warpdef.kernels.isometry import isometry
+from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_points, move_vertices, scatter_vertices
 from warpdef.kernels.neighbours import NearestSearch
@@ -37,7 +37,8 @@ class Objective:
     """Buffers and phases of one problem. ``nodes`` and ``adj_nodes`` belong to the optimiser.
 
     Losses, unweighted, after a run: ``loss_input`` (S,), ``loss_transform`` (T,; the mesh term at the keyframe),
-    ``loss_isometry`` (T,). Vertices of all frames: ``vertices`` (T, V), cube units, Morton order.
+    ``loss_isometry`` (parts, T), to be summed over parts. Vertices of all frames: ``vertices`` (T, V), cube units,
+    Morton order.
     """
 
     def __init__(self, problem: Problem, nodes: wp.array, adj_nodes: wp.array, schedule: wp.array) -> None:
@@ -68,7 +69,11 @@ class Objective:
 
         self.loss_input = wp.zeros(steps, dtype=wp.float64, device=device)
         self.loss_transform = wp.zeros(frames, dtype=wp.float64, device=device)
-        self.loss_isometry = wp.zeros(frames, dtype=wp.float64, device=device)
+        parts = len(self.vertex_runs())
+        self.loss_isometry = wp.zeros((parts, frames), dtype=wp.float64, device=device)
+        width = path_width(frames) if device.is_cpu else 0
+        self.paths = wp.zeros((count, 3, width), dtype=wp.float32, device=device)
+        self._row, self._column = p.integers(p.mesh.row), p.integers(p.mesh.column)
         self.confidence = wp.full(frames, 1.0, dtype=wp.float32, device=device)
         self._weigh()
 
@@ -125,6 +130,8 @@ class Objective:
             move_vertices(
                 begin, count, s, source, target, self.nodes, self.levels, self.vertices, self.rotation, self.jacobian
             )
+        if self.problem.device.is_cpu:
+            lay_paths(begin, count, self.vertices, self.paths)
 
     def _compare(self, first: int, last: int) -> None:
         """Chamfer terms of frames ``first .. last``; the gradient is not yet weighted by the confidence."""
@@ -153,20 +160,22 @@ class Objective:
             self._cloud_share, *results,
         )  # fmt: skip
 
-    def _keep_lengths(self, first: int, last: int) -> None:
-        """Isometry of frames ``first .. last``."""
-        p = self.problem
-        clear_losses(first, last - first, self.loss_isometry)
-        clear_vectors(first * p.vertex_count, (last - first) * p.vertex_count, self.adj_isometry.flatten())
-        weight = p.config.loss.isometry_weight
-        if weight > 0:
-            begin, count = first * len(p.edges), (last - first) * len(p.edges)
-            share = self._isometry_share
-            isometry(begin, count, self.vertices, p.edges, share, weight, self.loss_isometry, self.adj_isometry)
-
-    def _compare_and_keep(self, first: int, last: int) -> None:
-        self._compare(first, last)
-        self._keep_lengths(first, last)
+    def _keep_lengths(self, begin: int, count: int) -> None:
+        """Isometry: on the CPU around vertices ``begin .. begin + count``, on CUDA everywhere."""
+        p, weight, share = self.problem, self.problem.config.loss.isometry_weight, self._isometry_share
+        if weight == 0:
+            return
+        if p.device.is_cpu:
+            part = begin // VERTICES_PER_TASK
+            clear_losses(part * p.frame_count, p.frame_count, self.loss_isometry.flatten())
+            results = (part, self.loss_isometry, self.adj_isometry)
+            isometry_of_vertices(begin, count, self.paths, self._row, self._column, share, weight, *results)
+            return
+        loss = self.loss_isometry.flatten()
+        clear_losses(0, len(loss), loss)
+        clear_vectors(0, self.adj_isometry.size, self.adj_isometry.flatten())
+        everything = p.frame_count * len(p.edges)
+        isometry(0, everything, self.vertices, p.edges, share, weight, loss, self.adj_isometry)
 
     def _trust(self) -> None:
         p, loss = self.problem, self.problem.config.loss
@@ -193,6 +202,13 @@ class Objective:
             source = int(p.transitions.source[s])
             scatter_vertices(0, p.vertex_count, s, source, self.levels, self.vertices, self.adj_motion, self.adj_nodes)
 
+    def forget(self) -> None:
+        """Let every search begin anew, after positions that were no numbers."""
+        for search in (self.moved_to_cloud, self.cloud_to_moved, self.vertex_to_cloud, self.cloud_to_vertex):
+            search.forget()
+        for grid in (self.cloud_grid, self.moved_grid, self.vertex_grid):
+            grid.forget()
+
     def chain_all(self) -> None:
         """All vertices of all frames for the nodes as they are."""
         self._chain(0, self.problem.vertex_count)
@@ -207,6 +223,11 @@ class Objective:
         """Spans of transitions that are tasks of their own: one each on the CPU, all together on CUDA."""
         return spans(len(self.problem.transitions), 1 if self.problem.device.is_cpu else None)
 
+    def vertex_runs(self) -> list[tuple[int, int]]:
+        """Begins and counts of vertices that are tasks of their own, likewise."""
+        p = self.problem
+        return [(a, b - a) for a, b in spans(p.vertex_count, VERTICES_PER_TASK if p.device.is_cpu else None)]
+
     def phases(self, warmup: bool) -> list[Phase]:
         """All phases of an evaluation; during warm-up only the input and mesh terms."""
         p, cpu = self.problem, self.problem.device.is_cpu
@@ -214,11 +235,12 @@ class Objective:
         if warmup:
             k = p.transitions.keyframe
             return [Phase("move", [*clouds, partial(self._compare, k, k + 1)])]
-        runs = [(a, b - a) for a, b in spans(p.vertex_count, VERTICES_PER_TASK if cpu else None)]
+        runs = self.vertex_runs()
         frames = spans(p.frame_count, 1 if cpu else None)
+        lengths = [partial(self._keep_lengths, a, n) for a, n in runs]
         return [
             Phase("move", [*(partial(self._chain, a, n) for a, n in runs), *clouds]),
-            Phase("compare", [partial(self._compare_and_keep, a, b) for a, b in frames]),
+            Phase("compare", [*(partial(self._compare, a, b) for a, b in frames), *lengths]),
             Phase("trust", [self._trust]),
             Phase("pull", [partial(self._pull, a, n) for a, n in runs]),
         ]

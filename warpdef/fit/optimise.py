@@ -15,9 +15,10 @@ import warp as wp
 
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import Problem
-from warpdef.fit.sobolev import SolveReport, grid_solver, solver_name, template_solver
+from warpdef.fit.sobolev import SolveReport, grid_solver, solver_name, template_solvers
 from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.adam import adam
+from warpdef.kernels.finite import flag_not_finite
 from warpdef.kernels.levels import node8
 from warpdef.kernels.schedule import SCHEDULE_SIZE, advance, clear_nodes, copy_vectors, template_gradient
 
@@ -54,24 +55,92 @@ class Optimiser:
         finest_first = self.config.rate * self.config.rate_growth ** np.arange(
             problem.config.grid.coarsest - 1, problem.config.grid.levels
         )
-        self._rate = problem.numbers(factor * finest_first[problem.levels.node_level()])
-        self._shape_rate = problem.numbers(np.array([factor * self.config.template_rate]))
+        self._rates = factor * finest_first[problem.levels.node_level()], np.array([factor * self.config.template_rate])
+        self._rate, self._shape_rate = (problem.numbers(rate) for rate in self._rates)
+        self.rate_scale = 1.0
 
         # Two of each: a conjugate-gradient solver starts from its own last solution.
         solvers = [grid_solver(problem.config, problem.levels, problem.kept, device) for _ in range(2)]
         self._pull_grid, self._push_grid = solvers
-        self._pull_shape, self._push_shape = (template_solver(problem.config, problem.mesh, device) for _ in range(2))
+        self._pull_shape, self._push_shape = template_solvers(problem.config, problem.mesh, device)
         self.solves = SolveReport(solver_name(problem.config))
+        self._not_finite = wp.zeros(1, dtype=wp.int32, device=device)
+        self._kept: dict[str, wp.array] = {}
+        self._kept_done = 0
+        checks = [partial(flag_not_finite, a, self._not_finite) for name, a in self._state().items() if name != "step"]
+        self._check = Iteration([Phase("check", checks)], device, team, capture=False)
         self._warmup = Iteration(self._phases(warmup=True), device, team, capture)
         self._full = Iteration(self._phases(warmup=False), device, team, capture)
 
     def prepare(self) -> None:
         """Compile every kernel, so that the first step costs what the others do."""
+        self.finite()
         if self.problem.device.is_cpu:
             self._warmup.prepare()
             self._full.prepare()
         else:
             wp.load_module("warpdef.kernels", device=self.problem.device, recursive=True)
+
+    # State: what an iteration leaves for the next. Searches remember more, but only to be quick: they are exact.
+
+    def _state(self) -> dict[str, wp.array]:
+        state = {
+            **{"step": self._step, "u": self._u, "nodes": self.nodes, "first": self._first, "second": self._second},
+            **{"shape_u": self._shape_u, "shape": self._shape},
+            **{"shape_first": self._shape_first, "shape_second": self._shape_second},
+        }
+        solvers = {"pull_grid": self._pull_grid, "push_grid": self._push_grid}
+        solvers |= {"pull_shape": self._pull_shape, "push_shape": self._push_shape}
+        for name, solver in solvers.items():
+            state |= {f"{name}_{i}": a for i, a in enumerate(solver.memory())}
+        return state
+
+    def finite(self) -> bool:
+        """Whether everything that iterations build on is finite. Waits for the device."""
+        self._not_finite.zero_()
+        self._check.run()
+        return not self._not_finite.numpy()[0]
+
+    def keep(self) -> None:
+        """Remember this state, on the device, in place of an earlier one."""
+        for name, array in self._state().items():
+            if name not in self._kept:
+                self._kept[name] = wp.empty_like(array)
+            wp.copy(self._kept[name], array)
+        self._kept_done = self.done
+
+    def go_back(self) -> None:
+        """Undo all iterations since ``keep``."""
+        for name, array in self._state().items():
+            wp.copy(array, self._kept[name])
+        self.done = self._kept_done
+        self.objective.forget()
+
+    def slow_down(self, scale: float) -> None:
+        """From now on learning rates are ``scale`` times the configured ones."""
+        self.rate_scale = scale
+        for array, rate in zip((self._rate, self._shape_rate), self._rates, strict=True):
+            array.assign((scale * rate).astype(np.float32))
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """The state remembered, by name; valid until the next ``keep``."""
+        return {name: array.numpy() for name, array in self._kept.items()}
+
+    def restore(self, state: dict[str, np.ndarray], rate_scale: float) -> None:
+        """Go on from what ``kept`` gave in another run on the same problem; remembers it, too.
+
+        Raises:
+            ValueError: the arrays are not those of this problem.
+        """
+        mine = self._state()
+        shapes = {name: a.numpy().shape for name, a in mine.items()}
+        if shapes != {name: a.shape for name, a in state.items()}:
+            raise ValueError("expected the state of the same problem")
+        for name, array in mine.items():
+            array.assign(state[name])
+        self.done = int(state["step"][0])
+        self.slow_down(rate_scale)
+        self.keep()
 
     def step(self) -> None:
         """One iteration; on CUDA it returns before the device is done."""

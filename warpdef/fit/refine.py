@@ -10,12 +10,12 @@ frames. y is an unknown like the others: what one frame's points leave open, the
 noisier the clouds (measured by how thick they are locally), the stiffer, and the less their own normals count.
 
 A round is three phases: every frame pairs, solves for its moves and fits its rotations; every vertex asks all frames
-for its edges; the shape is solved for.
+for its edges; the shape is solved for. Part of the way through, frames that lost a limb are fitted again (``recover``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -24,6 +24,7 @@ import warp as wp
 
 from warpdef.config import RefineConfig
 from warpdef.fit.objective import VERTICES_PER_TASK, Objective, span, spans
+from warpdef.fit.recover import Cloud, recover
 from warpdef.fit.sobolev import SolveReport, note_solve
 from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.block_cg import BlockSolver
@@ -36,6 +37,7 @@ _SHAPE_TOLERANCE = 1e-4
 _SHAPE_ITERATIONS = 200
 _OPPOSED_MAX = 0.01  # share of given normals against the mesh that is taken for contact, not for flips
 _NOISE_MAX = 1.25  # rigidity grows no further
+_SETTLED = 8  # rounds after which a frame shows whether it lost a limb
 
 
 def _noise(thickness: float, config: RefineConfig) -> float:
@@ -75,6 +77,11 @@ class Refinement:
         share = max(1.0 - self.noise, 0.0)
         self._pairing = (c.agreement * share, share, p.numbers(c.reach * p.spacing))
         self.solves = SolveReport("block cg")
+        # Whether a frame's normals were given sides by the mesh; this and the next belong to the state: on the device.
+        self._doubtful = p.integers(~p.oriented)
+        self._given_normals = p.normals.numpy().copy()
+        # By frame: 1 fitted again, 2 lost all the same.
+        self._fate = p.integers(np.zeros(frames))
         self._round = Iteration(self._phases(), device, team, capture)
 
     def _lay_faces(self) -> None:
@@ -109,24 +116,67 @@ class Refinement:
         opposed = (normals * facing).sum(axis=1) < 0
         share = np.add.reduceat(opposed, p.cloud_first[:-1]) / p.cloud_sizes
         # A few always do: between two surfaces that touch, the nearest vertex may belong to the other one.
-        turned = opposed & np.repeat(~p.oriented | (share > _OPPOSED_MAX), p.cloud_sizes)
+        doubtful = ~p.oriented | (share > _OPPOSED_MAX)
+        self._doubtful.assign(doubtful.astype(np.int32))
+        turned = opposed & np.repeat(doubtful, p.cloud_sizes)
         normals[turned] *= -1.0
         p.normals.assign(normals)
 
     def step(self) -> None:
-        """One round."""
+        """One round; before one of them, frames that lost a limb are fitted again."""
+        if self.config.recover and self.done == min(_SETTLED, self.config.iterations // 2):
+            self._recover()
         self._round.run()
         self.done += 1
+
+    def _recover(self) -> None:
+        p, o = self.problem, self.objective
+        vertices = o.vertices.numpy().astype(np.float64)
+        points, normals = (
+            np.split(a.astype(np.float64), p.cloud_first[1:-1]) for a in (p.cloud.numpy(), self._given_normals)
+        )
+        clouds = [Cloud(*frame) for frame in zip(points, normals, p.oriented, self._doubtful.numpy() == 0, strict=True)]
+        recovered, lost = recover(vertices, clouds, p.faces, p.edges.numpy(), p.transitions.keyframe)
+        fate = np.zeros(p.frame_count, dtype=np.int32)
+        fate[recovered], fate[lost] = 1, 2
+        self._fate.assign(fate)
+        if recovered:
+            o.vertices.assign(vertices.astype(np.float32))
+            p.normals.assign(self._given_normals)
+            self.start()
+
+    @property
+    def frames_recovered(self) -> list[int]:
+        """Frames that lost a limb and were fitted again."""
+        return np.flatnonzero(self._fate.numpy() == 1).tolist()
+
+    @property
+    def frames_lost(self) -> list[int]:
+        """Frames a part of whose points the mesh does not cover."""
+        return np.flatnonzero(self._fate.numpy() == 2).tolist()
 
     def look(self) -> None:
         """Note what the linear solves of the last round did, in ``solves``. Waits for the device."""
         for solver, tolerance in ((self._solver, self.config.tolerance), (self._shape_solver, _SHAPE_TOLERANCE)):
             note_solve(self.solves, int(solver.iterations.numpy().max()), solver.residual.numpy(), tolerance)
 
+    def state(self) -> dict[str, wp.array]:
+        """What a round leaves for the next, by name: the arrays themselves. Searches remember more, but are exact."""
+        arrays = {"vertices": self.objective.vertices, "rest": self._rest, "rotation": self._rotation}
+        arrays |= {"doubtful": self._doubtful, "fate": self._fate}
+        return {**arrays, "normals": self.problem.normals, "shape_start": self._shape_solver.start}
+
+    def restore(self, state: Mapping[str, wp.array | np.ndarray], done: int) -> None:
+        """Go on after ``done`` rounds from copies of what ``state`` gave, here or in another run, without ``start``."""
+        for name, array in self.state().items():
+            array.assign(state[name])
+        self.done = done
+
     def as_dict(self) -> dict:
         """Plain values for ``report.json``."""
         thickness = self.problem.thickness
-        return {"rounds": self.done, "thickness": thickness, "noise": self.noise, "rigidity": self.rigidity}
+        measured = {"thickness": thickness, "noise": self.noise, "rigidity": self.rigidity}
+        return {"rounds": self.done, **measured}
 
     # Tasks.
 

@@ -1,8 +1,8 @@
 """The Sobolev preconditioner (I + lambda L)^-1 for grids and template (paper, sec. Spatial Smoothness).
 
 Parameters x are optimised as u = (I + lambda L) x: x = (I + lambda L)^-1 u forwards, grad_u = (I + lambda L)^-1 grad_x
-backwards. Three ways to solve: exact cosine transforms on full grids, our conjugate gradients on any graph, and Warp's
-own as the reference.
+backwards. Ways to solve: exact cosine transforms on full grids, an exact factorisation for the template on the CPU, our
+conjugate gradients on any graph, and Warp's own as the reference.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import warp as wp
 
 from warpdef.config import Config
 from warpdef.kernels.cg import ConjugateGradients
+from warpdef.kernels.cholesky import CholeskySolver, Factor
 from warpdef.kernels.cosine import CosineSolver
 from warpdef.kernels.graphs import Graph, grid_graph
 from warpdef.kernels.levels import LevelTable, node8
@@ -60,6 +61,10 @@ class Solver(Protocol):
 
     def look(self, report: SolveReport) -> None: ...
 
+    def memory(self) -> list[wp.array]:
+        """What one solve leaves for the next: where iterations start."""
+        ...
+
 
 class _Cosine:
     direct = False
@@ -70,6 +75,25 @@ class _Cosine:
 
     def look(self, report: SolveReport) -> None:
         """Exact: nothing to tell."""
+
+    def memory(self) -> list[wp.array]:
+        return []
+
+
+class _Cholesky:
+    direct = False
+
+    def __init__(self, graph: Graph, device: wp.Device) -> None:
+        self._solver = CholeskySolver(factorise(graph), device)
+
+    def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None:
+        self._solver.solve(rhs, solution_out)
+
+    def look(self, report: SolveReport) -> None:
+        """Exact: nothing to tell."""
+
+    def memory(self) -> list[wp.array]:
+        return []
 
 
 class _Conjugate:
@@ -87,6 +111,9 @@ class _Conjugate:
 
     def look(self, report: SolveReport) -> None:
         note_solve(report, int(self._solver.iterations.numpy().max()), self._solver.residual.numpy(), self._tolerance)
+
+    def memory(self) -> list[wp.array]:
+        return [self._solver.start]
 
 
 class _Reference:
@@ -129,6 +156,9 @@ class _Reference:
         relative = np.divide(r, b, out=(r > 0).astype(float), where=b > 0)
         note_solve(report, self._iterations, relative, self._limits.tolerance)
 
+    def memory(self) -> list[wp.array]:
+        return [self._x]
+
     def _norms(self, a: wp.array) -> np.ndarray:
         """Length of each system's vector, over all nodes and components, shape (systems,)."""
         sq = (a.numpy().astype(np.float64) ** 2).sum(axis=1)
@@ -170,8 +200,31 @@ def grid_solver(config: Config, levels: LevelTable, kept: np.ndarray, device: wp
     return _Conjugate(graph, node8, levels.count, config, device)
 
 
-def template_solver(config: Config, graph: Graph, device: wp.Device) -> Solver:
-    """A solver for the template's vertices."""
-    if solver_name(config) == "warp":
-        return _Reference(graph, wp.vec3, config, device)
-    return _Conjugate(graph, wp.vec3, 1, config, device)
+def template_solvers(config: Config, graph: Graph, device: wp.Device) -> tuple[Solver, Solver]:
+    """Two solvers for the template's vertices, not to be used at the same time.
+
+    Conjugate gradients start from their own last solution and so are two; a factorisation remembers nothing.
+    """
+    name = config.sobolev.solver
+    if name in ("auto", "cosine") and device.is_cpu:
+        exact = _Cholesky(graph, device)
+        return exact, exact
+    if name == "warp":
+        return _Reference(graph, wp.vec3, config, device), _Reference(graph, wp.vec3, config, device)
+    return _Conjugate(graph, wp.vec3, 1, config, device), _Conjugate(graph, wp.vec3, 1, config, device)
+
+
+def factorise(graph: Graph) -> Factor:
+    """``(I + lambda L)`` of a graph as triangular factors, in the order of least degree, float64."""
+    from scipy.sparse import csc_array, diags_array, tril
+    from scipy.sparse.linalg import splu
+
+    nodes, weight = len(graph.node), graph.weight[graph.system].astype(float)
+    degree = np.diff(graph.row)
+    around = csc_array((np.repeat(weight, degree), graph.column, graph.row), shape=(nodes, nodes))
+    matrix = (diags_array(1.0 + weight * degree) - around).tocsc()
+    # No pivoting: the matrix is diagonally dominant, and rows must go in the order of columns for F D F^T.
+    lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    below = tril(lu.L, -1).tocsr()
+    below.sort_indices()
+    return Factor(np.argsort(lu.perm_r), below.indptr, below.indices, below.data, lu.U.diagonal())

@@ -1,63 +1,23 @@
-"""The template: a closed mesh with even triangles on the keyframe (sec. Keyframe Selection), or a mesh of your own."""
+"""The template: the mesh of the best keyframe (sec. Keyframe Selection), or a mesh of your own."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warpdef.config import Config, TemplateConfig
+from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.mesh import TriMesh
 from warpdef.template import topology
-from warpdef.template.keyframe import rank_keyframes
-from warpdef.template.normals import estimate_normals, repair_normals
-from warpdef.template.poisson import Backend, load_backend
+from warpdef.template.build import FLIPPED_WARN, TemplateReport, build
+from warpdef.template.keyframe import rank_keyframes, spread_out
+from warpdef.template.poisson import load_backend
 from warpdef.template.quality import GateReport, judge
 
-FLIPPED_WARN = 0.005  # share of given normals; below, it may be the estimate that errs
-FACES_AIM = 0.97  # of the target, which is an upper bound
-FACES_LEAST = 0.9
-REMESH_ATTEMPTS = 4
-LEFT_OUT_WARN = 0.02  # share of the surface in components that were dropped
-
-
-@dataclass(frozen=True)
-class TemplateReport:
-    """How a template came about.
-
-    backend:       ``gpytoolbox``, ``pymeshlab``, or ``user``
-    normals:       ``given``, ``estimated``, or ``none`` for a user's mesh
-    flipped:       given normals that were turned over
-    depth:         octree depth of screened Poisson
-    poisson_faces: faces of the Poisson surface, before its triangles were made even
-    faces_target:  upper bound on the faces
-    edge_length:   asked of the remeshing, the points' units
-    left_out:      share of the Poisson surface in components that were dropped
-    """
-
-    backend: str
-    normals: str = "none"
-    flipped: int = 0
-    depth: int = 0
-    poisson_faces: int = 0
-    faces_target: int = 0
-    edge_length: float = 0.0
-    left_out: float = 0.0
-
-    def as_dict(self) -> dict:
-        """Plain values for ``report.json``."""
-        return asdict(self)
-
-
-@dataclass(frozen=True)
-class TemplateResult:
-    """A template as built, not yet judged; in the units of the points."""
-
-    mesh: TriMesh
-    report: TemplateReport
-    warnings: list[str]
+MIDDLE = 0.3  # of the frames, to either side of the middle: keyframes there are as good as each other
+HANDLES_TO_THE_END = 1.5  # handles that a keyframe at either end of the sequence weighs as much as
 
 
 @dataclass(frozen=True)
@@ -83,7 +43,11 @@ class ChosenTemplate:
 def choose_template(
     clouds: Sequence[np.ndarray], normals: Sequence[np.ndarray | None], config: Config
 ) -> ChosenTemplate:
-    """Build templates on the best keyframes, in order, until one passes the quality gate.
+    """Build templates on the best keyframes, in order, until one passes the quality gate and has no handle.
+
+    A handle (a hand on the hip closes the arm to a loop) may be the body's own or come of two parts that touch, and one
+    frame alone cannot tell; touching adds handles and never takes one away. So if a template has some, the other
+    candidates are built as well and the one with fewest is taken.
 
     At most ``config.template.attempts`` frames are tried, and only one where the user named it. If none passes, the
     best by the gate's score is taken, with a warning. A frame that fails with given normals of doubtful side is tried
@@ -99,39 +63,53 @@ def choose_template(
         MissingPackageError: the library for the reconstruction is not there.
     """
     backend = load_backend(config.template.backend)
-    candidates = rank_keyframes(clouds, config.keyframe)[: config.template.attempts]
+    candidates = spread_out(rank_keyframes(clouds, config.keyframe), config.template.attempts)
     attempts = []
     for candidate in candidates:
         if normals[candidate.frame] is not None:
             attempts.append((candidate, "given"))
         attempts.append((candidate, "estimated"))
     warnings: list[str] = []
-    tried: list[ChosenTemplate] = []
+    failed: list[ChosenTemplate] = []
+    passed: list[ChosenTemplate] = []
     while attempts:
         candidate, source = attempts.pop(0)
         frame = candidate.frame
+        least = min((_cost(c.keyframe, c.gate.handles, len(clouds)) for c in passed), default=np.inf)
+        if _cost(frame, 0, len(clouds)) >= least:
+            continue  # it could not be better
         try:
             built = build(clouds[frame], normals[frame] if source == "given" else None, config.template, backend)
         except InputError as error:
+            if passed:
+                continue
             warnings.append(f"keyframe {frame} gave no template: {error}{_next(frame, attempts)}")
             continue
-        gate = judge(built.mesh, clouds[frame], config.template, config.seed)
+        gate = judge(built.mesh, clouds[frame], config.template, config.seed, built.report.surface == "open")
         made = [f"keyframe {frame}: {w}" for w in built.warnings]
         chosen = ChosenTemplate(built.mesh, frame, candidate.why, built.report, gate, made)
         if gate.passed:
-            return replace(chosen, warnings=warnings + made)
-        tried.append(chosen)
+            passed.append(chosen)
+            if gate.handles == 0:
+                break
+            attempts = [a for a in attempts if a[0].frame != frame]
+        if passed:
+            continue  # what else is built now only competes for fewer handles
+        failed.append(chosen)
         if source == "given" and built.report.flipped <= FLIPPED_WARN * len(clouds[frame]):
             attempts.pop(0)  # the given normals are not to blame
         reasons = " and ".join(gate.failures)
         warnings.append(f"keyframe {frame} failed the template gate: {reasons}{_next(frame, attempts)}")
-    if not tried:
+    if passed:
+        return _fewest_handles(passed, warnings, len(clouds))
+    if not failed:
         raise InputError(f"no template: {warnings[-1]}; give a mesh of your own with --template")
-    best = min(tried, key=lambda c: c.gate.score)
+    best = min(failed, key=lambda c: c.gate.score)
     warnings += best.warnings
     if best.gate.far_share > config.template.far_share_max:
         advice = (
-            "an open or partly seen surface cannot be closed well: check the template, or give your own with --template"
+            "an open or partly seen surface cannot be closed well: check the template, set template.surface to open, "
+            "or give your own with --template"
         )
     else:
         advice = (
@@ -144,114 +122,25 @@ def choose_template(
     return replace(best, warnings=warnings)
 
 
+def _cost(frame: int, handles: int, frame_count: int) -> float:
+    """Handles, and what a keyframe near either end costs: it makes the chain of steps up to twice as long."""
+    off_middle = abs(frame - (frame_count - 1) / 2) / frame_count
+    return handles + HANDLES_TO_THE_END * max(0.0, off_middle - MIDDLE) / (0.5 - MIDDLE)
+
+
+def _fewest_handles(passed: list[ChosenTemplate], warnings: list[str], frame_count: int) -> ChosenTemplate:
+    """The template of least cost, of equal ones the first; ``why`` tells of the others."""
+    best = min(passed, key=lambda c: _cost(c.keyframe, c.gate.handles, frame_count))
+    others = ", ".join(f"{c.gate.handles} in frame {c.keyframe}" for c in passed if c is not best)
+    why = f"{best.why}; handles of the template: {best.gate.handles} here, {others}" if others else best.why
+    return replace(best, why=why, warnings=warnings + best.warnings)
+
+
 def _next(frame: int, attempts: list) -> str:
     if not attempts:
         return ""
     candidate, _ = attempts[0]
     return "; trying estimated normals" if candidate.frame == frame else f"; trying frame {candidate.frame}"
-
-
-def build(
-    points: np.ndarray, normals: np.ndarray | None, config: TemplateConfig, backend: Backend | None = None
-) -> TemplateResult:
-    """A closed, outward template with about min(faces_max, faces_per_point * N) even triangles, never more.
-
-    Screened Poisson (Kazhdan and Hoppe 2013), largest component, remeshing to equal edges (Botsch and Kobbelt 2004).
-
-    Args:
-        points: shape (N, 3), any units.
-        normals: shape (N, 3), unit length; clearly inverted ones are turned over. None: estimated.
-        config: depth, screening and the number of faces.
-        backend: from ``load_backend``; None: the configured one.
-
-    Raises:
-        InputError: the reconstruction yields no usable surface.
-        MissingPackageError: the library for the reconstruction is not there.
-    """
-    backend = backend or load_backend(config.backend)
-    points = np.asarray(points, dtype=np.float64)
-    warnings = []
-    flipped, source = 0, "estimated" if normals is None else "given"
-    if normals is None:
-        normals = estimate_normals(points, config.neighbours)
-    else:
-        normals, flipped = repair_normals(points, normals, config.neighbours)
-        if flipped > FLIPPED_WARN * len(points):
-            warnings.append(f"{flipped} of {len(points)} given normals pointed inwards and were turned over")
-
-    # Both libraries get the same, harmless size, whatever the units.
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    scale = float((points.max(axis=0) - points.min(axis=0)).max()) / 2
-    unit_points = (points - centre) / scale
-    depth = config.depth or depth_by_spacing(unit_points)
-    vertices, faces = backend.poisson(unit_points, normals, depth, config.screening)
-    vertices, faces = topology.compact(vertices, faces)
-    if len(faces) < 4:
-        raise InputError(
-            f"screened Poisson made {len(faces)} faces from {len(points)} points; "
-            "the cloud does not look like a closed surface"
-        )
-    poisson_faces = len(faces)
-    vertices, faces, left_out = topology.largest_component(vertices, faces)
-    if left_out > LEFT_OUT_WARN:
-        warnings.append(
-            f"{left_out:.0%} of the reconstructed surface lies in separate pieces and was left out; "
-            "if the sequence shows several bodies, reconstruct each by itself"
-        )
-    target = int(min(config.faces_max, config.faces_per_point * len(points)))
-    vertices, faces, edge_length = _even_triangles(vertices, faces, max(target, 20), backend)
-    if topology.signed_volume(vertices, faces) < 0 and topology.is_watertight(faces):
-        faces = faces[:, ::-1]
-    report = TemplateReport(backend.name, source, flipped, depth, poisson_faces, target, edge_length * scale, left_out)
-    return TemplateResult(TriMesh(vertices * scale + centre, faces), report, warnings)
-
-
-def depth_by_spacing(points: np.ndarray) -> int:
-    """The depth whose octree cells are about as large as the mean nearest-neighbour distance, from 3 to 12.
-
-    Deeper trees follow the noise: on a person's 5,000 points with noise of 0.5 % of the diagonal, depth 8 made no
-    handle and depth 10 up to eight, and both lay equally near the true surface.
-    """
-    from scipy.spatial import cKDTree
-
-    spacing = float(cKDTree(points).query(points, k=2)[0][:, 1].mean())
-    extent = float((points.max(axis=0) - points.min(axis=0)).max())
-    # Both libraries leave a tenth of the extent around the points.
-    return int(np.clip(np.ceil(np.log2(1.1 * extent / max(spacing, 1e-12))), 3, 12))
-
-
-def _even_triangles(
-    vertices: np.ndarray, faces: np.ndarray, target: int, backend: Backend
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Vertices and faces, just under ``target`` of them, and the edge length h that did it.
-
-    F equilateral faces have the area F sqrt(3) / 4 h^2.
-    """
-    area = float(topology.face_areas(vertices, faces).sum())
-    if not area > 0:
-        raise InputError("the reconstructed surface has no area; the cloud does not look like a closed surface")
-    edge_length = np.sqrt(4.0 * area / (np.sqrt(3.0) * FACES_AIM * target))
-    best = None
-    for _ in range(REMESH_ATTEMPTS):
-        try:
-            new_vertices, new_faces = topology.compact(*backend.remesh(vertices, faces, edge_length))
-        except ValueError as error:
-            raise InputError(f"the reconstructed surface cannot be remeshed ({error})") from error
-        count = len(new_faces)
-        usable = count >= 4 and np.isfinite(new_vertices).all()
-        if usable and (best is None or _misfit(count, target) < _misfit(len(best[1]), target)):
-            best = (new_vertices, new_faces, float(edge_length))
-        if FACES_LEAST * target <= count <= target:
-            break
-        edge_length *= np.sqrt(max(count, target / 4) / (FACES_AIM * target))
-    if best is None:
-        raise InputError("the remeshing lost the surface; raise template.faces_max or template.faces_per_point")
-    return best
-
-
-def _misfit(count: int, target: int) -> float:
-    # Too many faces break the user's bound; too few only cost detail.
-    return abs(count - target) + (10.0 * target if count > target else 0.0)
 
 
 def accept_user_template(mesh: TriMesh, clouds: Sequence[np.ndarray], config: Config) -> ChosenTemplate:
@@ -272,7 +161,7 @@ def accept_user_template(mesh: TriMesh, clouds: Sequence[np.ndarray], config: Co
         raise InputError("--template: expected a surface with an area above 0, got only degenerate faces")
     warnings = []
     if config.keyframe.choice == "auto":
-        distance = [_mean_distance(mesh, cloud, config.seed) for cloud in clouds]
+        distance = [_mean_distance(mesh, cloud, config.seed) if len(cloud) else np.inf for cloud in clouds]
         frame = int(np.argmin(distance))
         why = f"the frame nearest to the template given: mean distance {distance[frame]:.4f} cube units"
         warnings.append(

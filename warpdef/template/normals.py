@@ -11,6 +11,7 @@ the side of all normals at once, where a walk from neighbour to neighbour turns 
    (Lin et al. 2024, *Fast and Globally Consistent Normal Orientation based on the Winding Number Normal Consistency*).
 3. Detail: fit the local plane to the neighbours of the same side only, keep its normal where the plane is clear,
    and the field's where it is not (noise).
+4. Where neighbours then still deny each other's side, as on a flat open sheet, walk from neighbour to neighbour.
 
 NumPy and SciPy only; double precision outside the grids; the same input gives the same bytes.
 """
@@ -28,6 +29,8 @@ REGULARISATION = 5.0  # of the start, relative to the mean diagonal: high enough
 START_ITERATIONS = 20
 START_TOLERANCE = 1e-2  # only signs are taken from the start
 SHARPEN_ITERATIONS = 5
+DISCORD_DOUBTED = 0.006  # of neighbours' sides, above which the field's answer is held against a walk's ...
+DISCORD_GAIN = 0.1  # ... which has to have less than this share of it; a closed body's stays below, noise of 1 % too
 CLEARLY_OPPOSED = -0.3  # cosine to the estimate below which a given normal is doubted
 SMALL_PATCH = 0.02  # share of the points up to which a doubted patch needs ...
 CLEAR_BREAK = -0.5  # ... a mean agreement with the normals around it below this, to be turned over
@@ -49,7 +52,7 @@ def estimate_normals(points: np.ndarray, neighbours: int = 16) -> np.ndarray:
     """Outward unit normals of a cloud that samples a closed surface, shape (N, 3) float64.
 
     Where the body is thinner, or a gap narrower, than about one point spacing, no method can tell the sides apart.
-    On an open surface one side is chosen.
+    On an open surface one side is chosen, the same all over.
 
     Args:
         points: shape (N, 3), any units.
@@ -60,11 +63,55 @@ def estimate_normals(points: np.ndarray, neighbours: int = 16) -> np.ndarray:
     side = _unit(_least_norm_start(field, near.area))
     for _ in range(SHARPEN_ITERATIONS):
         side = _unit(field.project(near.area[:, None] * side))
+    normals = _detail(near, side)
+    if _discord(near, normals) > DISCORD_DOUBTED:
+        # A flat open sheet has no inside, and the field cuts it into patches: there, a walk does better.
+        walked = _detail(near, _walk(near, side))
+        if _discord(near, walked) < DISCORD_GAIN * _discord(near, normals):
+            return walked
+    return normals
+
+
+def _detail(near: _Neighbourhood, side: np.ndarray) -> np.ndarray:
+    """Local planes through the neighbours of the same side, where they are clear; ``side`` where they are not."""
     same_side = np.maximum(np.einsum("ni,nki->nk", side, side[near.index]), 0.0)
     normals, clarity = _fit_planes(near.points, near.index, same_side)
     normals *= np.where((normals * side).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     clarity = (clarity**2)[:, None]
     return _unit(clarity * normals + (1.0 - clarity) * side)
+
+
+def _discord(near: _Neighbourhood, normals: np.ndarray) -> float:
+    """How much neighbouring normals deny each other's side, 0 to 1."""
+    agreement, flatness = _agreement(near.points, normals, *near.edges())
+    return float((flatness * np.maximum(-agreement, 0.0)).sum() / max(flatness.sum(), 1e-300))
+
+
+def _walk(near: _Neighbourhood, side: np.ndarray) -> np.ndarray:
+    """Local planes' normals, each given the side of its neighbour along a minimum spanning tree (Hoppe et al. 1992).
+
+    What the side of the whole is, most of ``side`` decide, for every piece by itself.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+
+    normals, _ = _fit_planes(near.points, near.index, np.ones(near.index.shape))
+    i, j = near.edges()
+    agreement, flatness = _agreement(near.points, normals, i, j)
+    count = len(normals)
+    cost = 1.0 + 1e-6 - flatness * np.abs(agreement)  # an edge of cost 0 would be none
+    tree = minimum_spanning_tree(coo_matrix((cost, (i, j)), shape=(count, count)).tocsr())
+    tree = tree + tree.T
+    pieces, piece = connected_components(tree, directed=False)
+    sign = np.ones(count)
+    for root in np.unique(piece, return_index=True)[1]:
+        order, before = breadth_first_order(tree, root, directed=False)
+        order = order[1:]
+        agreement, _ = _agreement(near.points, normals, order, before[order])
+        for point, previous, same in zip(order, before[order], agreement >= 0, strict=True):
+            sign[point] = sign[previous] if same else -sign[previous]
+    votes = np.bincount(piece, sign * (normals * side).sum(axis=1), minlength=pieces)
+    return normals * (sign * np.where(votes[piece] < 0, -1.0, 1.0))[:, None]
 
 
 def repair_normals(points: np.ndarray, normals: np.ndarray, neighbours: int = 16) -> tuple[np.ndarray, int]:

@@ -9,6 +9,7 @@ import numpy as np
 from warpdef.config import TemplateConfig
 from warpdef.mesh import TriMesh
 from warpdef.template import topology
+from warpdef.template.clusters import point_clusters
 
 SAMPLES = 20_000
 
@@ -21,7 +22,10 @@ class GateReport:
     watertight:      each edge in exactly two faces, turned opposite ways
     volume:          signed, in the points' units cubed; above 0 when the faces look outwards
     components:      pieces that share no vertex
-    euler:           V - E + F; 2 for a sphere, 2 less for every handle; reported, not judged
+    objects:         separate clusters of points, each of which may have a piece of its own
+    loops:           closed curves that the boundary consists of; 0 when watertight
+    euler:           V - E + F; 2 for a sphere, 2 less for every handle, 1 less for every boundary loop
+    handles:         of all pieces together
     quality:         mean of 4 sqrt(3) area / sum of squared edges, 1 for equilateral triangles; reported, not judged
     spacing:         mean distance of a point to its nearest neighbour, the points' units
     far_share:       share of the surface further than ``far_spacings`` spacings from every point
@@ -35,7 +39,10 @@ class GateReport:
     watertight: bool
     volume: float
     components: int
+    objects: int
+    loops: int
     euler: int
+    handles: int
     quality: float
     spacing: float
     far_share: float
@@ -52,27 +59,37 @@ class GateReport:
         return {**asdict(self), "failures": list(self.failures), "passed": self.passed}
 
 
-def judge(mesh: TriMesh, points: np.ndarray, config: TemplateConfig, seed: int) -> GateReport:
+def judge(mesh: TriMesh, points: np.ndarray, config: TemplateConfig, seed: int, is_open: bool = False) -> GateReport:
     """Measure a template against the cloud that it was built on.
+
+    A closed one must be watertight, turned outwards, and have no more pieces than the cloud has objects. An open one
+    must be a surface with a boundary (no edge in three faces), in as many pieces as it likes.
 
     Args:
         mesh: the template.
         points: its keyframe, shape (N, 3), the mesh's units.
         config: the gate's thresholds.
         seed: of the surface samples.
+        is_open: whether the template was trimmed on purpose.
     """
     watertight = topology.is_watertight(mesh.faces)
     volume = topology.signed_volume(mesh.vertices, mesh.faces)
     components = int(topology.face_components(mesh.faces).max()) + 1
+    objects = int(point_clusters(points).max()) + 1
+    loops, euler = topology.boundary_loops(mesh.faces), topology.euler_number(mesh.faces)
     spacing, far_share, missed_share = far_shares(mesh, points, config.far_spacings, seed)
 
     broken = []
-    if not watertight:
-        broken.append("it is not watertight")
-    if not volume > 0:
-        broken.append("it is inside out or flat (its signed volume is not above 0)")
-    if components > 1:
-        broken.append(f"it has {components} pieces")
+    if is_open:
+        if topology.edge_use(mesh.faces).max() > 2:
+            broken.append("it has edges in more than two faces")
+    else:
+        if not watertight:
+            broken.append("it is not watertight")
+        if not volume > 0:
+            broken.append("it is inside out or flat (its signed volume is not above 0)")
+        if components > objects:
+            broken.append(f"it has {components} pieces")
     off = []
     if far_share > config.far_share_max:
         off.append(f"{far_share:.0%} of its surface is far from every point")
@@ -84,7 +101,10 @@ def judge(mesh: TriMesh, points: np.ndarray, config: TemplateConfig, seed: int) 
         watertight=watertight,
         volume=volume,
         components=components,
-        euler=topology.euler_number(mesh.faces),
+        objects=objects,
+        loops=loops,
+        euler=euler,
+        handles=(2 * components - loops - euler) // 2,
         quality=topology.triangle_quality(mesh.vertices, mesh.faces),
         spacing=spacing,
         far_share=far_share,

@@ -58,12 +58,70 @@ def face_components(faces: np.ndarray) -> np.ndarray:
     return np.unique(labels, return_inverse=True)[1]
 
 
-def largest_component(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """The component with the most area, compacted, and the share of the whole area that was left out."""
-    labels = face_components(faces)
-    areas = np.bincount(labels, face_areas(vertices, faces))
-    best = int(areas.argmax())
-    return *compact(vertices, faces[labels == best]), float(1.0 - areas[best] / max(areas.sum(), 1e-300))
+def separate_touching(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Give every fan of faces a vertex of its own, where several meet in one vertex without sharing an edge."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    # Corners are joined where two faces share an edge, at both of its ends.
+    corner = np.arange(faces.size).reshape(-1, 3)
+    start, end = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
+    at_start, at_end = corner[:, [0, 1, 2]].ravel(), corner[:, [1, 2, 0]].ravel()
+    swap = start > end
+    at_low, at_high = np.where(swap, at_end, at_start), np.where(swap, at_start, at_end)
+    key = np.minimum(start, end).astype(np.int64) * (int(faces.max()) + 1) + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    same = np.flatnonzero(np.diff(key[order]) == 0)
+    i, j = order[same], order[same + 1]
+    rows, columns = np.concatenate([at_low[i], at_high[i]]), np.concatenate([at_low[j], at_high[j]])
+    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(faces.size, faces.size))
+    fan = connected_components(graph, directed=False)[1]
+    first = np.unique(fan, return_index=True)[1]
+    return vertices[faces.ravel()[first]], fan.reshape(-1, 3).astype(np.int32)
+
+
+def vertex_components(faces: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Label of the connected patch of ``chosen`` (V,) bool vertices that each vertex is in, -1 for the others; (V,)."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges = edges[chosen[edges].all(axis=1)]
+    graph = coo_matrix((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(len(chosen),) * 2)
+    labels = connected_components(graph, directed=False)[1]
+    labels[~chosen] = -1
+    labels[chosen] = np.unique(labels[chosen], return_inverse=True)[1]
+    return labels
+
+
+def boundary_edges(faces: np.ndarray) -> np.ndarray:
+    """Undirected edges of exactly one face, shape (B, 2)."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    unique, count = np.unique(edges, axis=0, return_counts=True)
+    return unique[count == 1]
+
+
+def boundary_loops(faces: np.ndarray) -> int:
+    """Number of closed curves that the boundary consists of; loops that share a vertex count as one."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    edges = boundary_edges(faces)
+    if len(edges) == 0:
+        return 0
+    used, edges = np.unique(edges, return_inverse=True)
+    i, j = edges.reshape(-1, 2).T
+    graph = coo_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(len(used),) * 2)
+    return int(connected_components(graph, directed=False)[0])
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area-weighted unit normals, shape (V, 3); zero where there is no area."""
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    total = np.stack([np.bincount(faces.ravel(), np.repeat(n, 3), minlength=len(vertices)) for n in normal.T], axis=1)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return total / np.where(length > 0, length, 1.0)
 
 
 def compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

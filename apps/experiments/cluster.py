@@ -1,0 +1,161 @@
+"""Runs over a Dask cluster: one run a worker at a time; a run whose worker dies is done again by another one.
+
+The results are those of a single process: a run is seeded by itself, and on the CPU its bits do not depend on threads.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from warpdef.apps.experiments.run import Run, execute
+from warpdef.apps.experiments.session import Executor
+from warpdef.errors import InputError, MissingPackageError
+
+CORES_A_WORKER = 2
+DEATHS_ALLOWED = 3
+"""Workers that one run may lose before it is given up."""
+_CONNECT_S = "20s"
+
+
+@dataclass(frozen=True)
+class Slot:
+    """What a local worker may use: a device, and the cores of its slice."""
+
+    device: str
+    cores: tuple[int, ...]
+
+
+def local_slots(device: str, threads: int | None, workers: int | None) -> list[Slot]:
+    """One slot a worker: every GPU its own, else slices of this process's cores.
+
+    Args:
+        device: ``auto``, ``cpu`` or ``cuda:N``.
+        threads: cores a slice; 2 if not given.
+        workers: how many; as many as there are GPUs or slices if not given.
+
+    Raises:
+        DeviceError: no such device. InputError: more slices than cores.
+    """
+    from warpdef.fit.workers import find_device, usable_cores
+
+    target = find_device(device)
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(usable_cores()))
+    if target.is_cpu:
+        size = min(threads or CORES_A_WORKER, len(cores))
+        count = workers or max(1, len(cores) // size)
+        if count * size > len(cores):
+            raise InputError(
+                f"--worker-count: {count} workers of {size} threads need {count * size} cores, got {len(cores)}; "
+                "ask for fewer, or set --threads"
+            )
+        return [Slot("cpu", tuple(cores[i * size : (i + 1) * size])) for i in range(count)]
+    devices = [target.alias]
+    if device == "auto":
+        import warp as wp
+
+        devices = [d.alias for d in wp.get_cuda_devices()]
+    count = workers or len(devices)
+    size = max(1, len(cores) // count)
+    return [
+        Slot(devices[i % len(devices)], tuple(cores[i * size : (i + 1) * size]) or tuple(cores)) for i in range(count)
+    ]
+
+
+def on_cluster(
+    address: str = "",
+    device: str = "auto",
+    threads: int | None = None,
+    workers: int | None = None,
+    keep: Path | None = None,
+) -> Executor:
+    """Runs over the cluster at ``address``, or over workers started on this machine and ended afterwards.
+
+    Args:
+        address: of a Dask scheduler, as ``tcp://host:8786``; its workers need warpdef, the data under the same path,
+            and one thread each (``dask worker ADDRESS --nthreads 1``). Empty: local workers.
+        device, threads: for every run; local workers take a GPU or a slice of cores each.
+        workers: number of local workers.
+        keep: as for ``execute``.
+
+    Raises:
+        MissingPackageError: distributed cannot be imported.
+    """
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        raise MissingPackageError(
+            "--workers dask needs Dask; install it with: pip install 'warpdef[cluster]'"
+        ) from None
+
+    def go(runs: Sequence[Run]) -> Iterator[tuple[Run, dict[str, Any] | Exception]]:
+        if not runs:
+            return
+        from distributed import as_completed
+
+        with ExitStack() as stack:
+            slots = [] if address else local_slots(device, threads, workers)
+            client = _connect(address, min(len(slots), len(runs)), stack)
+            futures = {
+                client.submit(_work, run, slots, device, threads, keep, key=run.key, pure=False): run for run in runs
+            }
+            stack.callback(client.cancel, list(futures))
+            for future in as_completed(list(futures)):
+                run = futures.pop(future)
+                error = future.exception()
+                if error is not None and not isinstance(error, Exception):
+                    raise error
+                yield run, _of_this_code(run, future.result()) if error is None else error
+                future.release()
+
+    return go
+
+
+def _of_this_code(run: Run, result: dict[str, Any]) -> dict[str, Any] | Exception:
+    """The result, or an error where the worker's code makes another key of the same run."""
+    if result["key"] == run.key:
+        return result
+    return InputError(
+        f"--cluster: a worker has {result['run']['code']}, expected {run.describe()['code']}; install the same warpdef"
+    )
+
+
+def _connect(address: str, workers: int, stack: ExitStack) -> Any:
+    import dask
+    from distributed import Client, LocalCluster
+
+    if not address:
+        # Read by the scheduler when it starts.
+        stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": DEATHS_ALLOWED}))
+        # No share of memory a worker: Dask would kill a run that may well use what its neighbours do not.
+        cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None, memory_limit=0)
+        return stack.enter_context(Client(stack.enter_context(cluster)))
+    try:
+        client = stack.enter_context(Client(address, timeout=_CONNECT_S))
+    except (OSError, TimeoutError, ValueError) as error:
+        text = " ".join(str(error).split())
+        raise InputError(f"--cluster: {address}: no Dask scheduler answers ({text:.120}); check the address") from None
+    crowded = [w for w in client.scheduler_info(n_workers=-1)["workers"].values() if w["nthreads"] != 1]
+    if crowded:
+        raise InputError(
+            f"--cluster: expected workers with one thread each, got {crowded[0]['nthreads']} at {crowded[0]['name']}; "
+            f"start them with: dask worker {address} --nthreads 1"
+        )
+    return client
+
+
+def _work(run: Run, slots: list[Slot], device: str, threads: int | None, keep: Path | None) -> dict[str, Any]:
+    """One run on whatever worker this is; a local one, numbered by its cluster, keeps to its slot."""
+    from distributed import get_worker
+
+    name = get_worker().name
+    if slots and isinstance(name, int):
+        slot = slots[name % len(slots)]
+        if hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(0, slot.cores)  # this thread and those it starts
+        device, threads = slot.device, len(slot.cores)
+    return execute(run, device, threads, keep)

@@ -1,0 +1,195 @@
+"""Memory: the estimate against what is really allocated, what is free, and refusals that say what would fit."""
+
+from __future__ import annotations
+
+import gc
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic
+import warp as wp
+
+import warpdef
+from warpdef import memory
+from warpdef.config import Config, preset
+from warpdef.errors import DeviceError, InputError
+from warpdef.fit.optimise import Optimiser
+from warpdef.fit.problem import Problem
+from warpdef.fit.refine import Refinement
+from warpdef.fit.workers import Team
+from warpdef.memory import GIB, estimate_memory, explained_shortage, require_memory, vertices_most
+
+CPU = wp.get_device("cpu")
+
+
+def allocated() -> int:
+    """Bytes of all Warp arrays there are, views counted once."""
+    gc.collect()
+    arrays = [a for a in gc.get_objects() if type(a) is wp.array and a.ptr]
+    spans = sorted((a.ptr, a.ptr + a.size * wp.types.type_size_in_bytes(a.dtype)) for a in arrays)
+    total = end = 0
+    for first, last in spans:
+        total += max(last - max(first, end), 0)
+        end = max(end, last)
+    return total
+
+
+@pytest.mark.parametrize("base", ["default", "paper"])
+@pytest.mark.parametrize(("frames", "points", "subdivisions", "levels"), [(3, 400, 3, 8), (8, 3000, 4, 4)])
+def test_the_estimate_is_what_is_allocated(base: str, frames: int, points: int, subdivisions: int, levels: int) -> None:
+    config = preset(base)
+    config = replace(config, grid=replace(config.grid, levels=levels, prune=False))
+    moving = synthetic.turning_ellipsoid(frames, points, np.random.default_rng(0), subdivisions)
+    before = allocated()
+    problem = Problem(moving.clouds, moving.normals, moving.vertices[1], moving.faces, 1, config, CPU)
+    optimiser = Optimiser(problem, 10, Team(1))
+    optimiser.keep()
+    state = {}
+    if config.refine.iterations:
+        refinement = Refinement(optimiser.objective, Team(1))
+        state = {name: wp.clone(a) for name, a in refinement.state().items()}
+    found = allocated() - before
+    estimate = estimate_memory([points] * frames, problem.vertex_count, config)
+    assert 0.75 * found < estimate.device < 1.4 * found, (found, estimate)
+    assert bool(state) == bool(config.refine.iterations)
+
+
+def test_it_grows_with_everything() -> None:
+    config = Config()
+    least = estimate_memory([1000] * 5, 2000, config)
+    finer = replace(config, grid=replace(config.grid, levels=11))
+    for more in (
+        estimate_memory([1000] * 6, 2000, config),
+        estimate_memory([1100] * 5, 2000, config),
+        estimate_memory([1000] * 5, 2100, config),
+        estimate_memory([1000] * 5, 2000, finer),
+        estimate_memory([1000] * 5, 2000, config, cuda=True),
+    ):
+        assert more.total > least.total and more.device > least.device
+    assert vertices_most([1000, 200], config) == 2002
+    assert vertices_most([100_000], config) == 10_002
+
+
+def test_a_run_that_fits_passes() -> None:
+    assert require_memory([1000] * 5, 500, Config(), CPU).total > 0
+    assert require_memory([10**6] * 1000, None, Config(), CPU, limit=0).total > GIB
+
+
+@pytest.mark.parametrize("limit", [0.8, 2.0])
+def test_what_would_fit_is_named_and_does_fit(limit: float) -> None:
+    sizes, config = [20_000] * 120, Config()
+    with pytest.raises(
+        InputError, match=r"needs about .* GiB of memory, expected at most .*--memory-limit 0 tries"
+    ) as e:
+        require_memory(sizes, None, config, CPU, limit=limit)
+    text = str(e.value)
+    tried = 0
+    if "--frames ::" in text:
+        step = int(text.split("--frames ::")[1].split()[0])
+        assert require_memory(sizes[::step], None, config, CPU, limit=limit)
+        tried += 1
+    if "--points " in text:
+        fewer = int(text.split("--points ")[1].split()[0])
+        assert require_memory([fewer] * len(sizes), None, config, CPU, limit=limit)
+        tried += 1
+    assert tried
+
+
+def test_nothing_fits_into_nothing() -> None:
+    with pytest.raises(InputError, match="take fewer frames and points; --memory-limit 0 tries all the same"):
+        require_memory([1000] * 4, None, Config(), CPU, limit=0.001)
+
+
+def test_a_run_is_refused_before_it_begins(rng: np.random.Generator, monkeypatch) -> None:
+    clouds = rng.normal(size=(3, 50, 3))
+    with pytest.raises(InputError, match="GiB of memory"):
+        warpdef.reconstruct(clouds, device="cpu", memory_limit=0.01)
+    monkeypatch.setattr(memory, "available_memory", lambda: 1000)
+    with pytest.raises(InputError, match="GiB of memory"):
+        warpdef.reconstruct(clouds, device="cpu")
+
+
+def test_the_device_has_its_own_limit(monkeypatch) -> None:
+    class Small:
+        is_cuda, name, free_memory = True, "Tiny", 10 << 20
+
+    with pytest.raises(InputError, match="GiB of memory of Tiny, expected at most 0.0098"):
+        require_memory([5000] * 17, None, Config(), Small())  # type: ignore[arg-type]
+
+
+# What is free.
+
+
+def test_the_system_tells_what_is_free() -> None:
+    free = memory.available_memory()
+    assert free is None or 2**20 < free < 2**50
+
+
+def group(folder: Path, version: int, limit: str, used: int, cache: int) -> None:
+    names = [("memory.limit_in_bytes", "memory.usage_in_bytes"), ("memory.max", "memory.current")][version - 1]
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / names[0]).write_text(f"{limit}\n")
+    (folder / names[1]).write_text(f"{used}\n")
+    key = ["total_inactive_file", "inactive_file"][version - 1]
+    (folder / "memory.stat").write_text(f"other 7\n{key} {cache}\n")
+
+
+@pytest.mark.parametrize(("version", "line", "place"), [(1, "4:memory:/a/b", "memory"), (2, "0::/a/b", ".")])
+def test_containers_limits_count(version: int, line: str, place: str, tmp_path: Path) -> None:
+    own, root = tmp_path / "own", tmp_path / "root"
+    own.write_text(f"9:name=systemd:/\n{line}\nbroken\n")
+
+    def left() -> int | None:
+        return memory._group_left(root, own)
+
+    assert left() is None
+    group(root / place / "a", version, "1000", 700, 50)
+    assert left() == 350
+    group(root / place / "a" / "b", version, "500", 400, 0)
+    assert left() == 100
+    group(root / place, version, "max" if version == 2 else str(2**63 - 4096), 400, 0)
+    assert left() == 100
+    group(root / place, version, "90", 400, 0)  # all that a container sees of itself
+    assert left() == 0
+    assert memory._group_left(root, tmp_path / "missing") is None
+
+
+# Running out all the same.
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        RuntimeError("Failed to allocate 1073741824 bytes on device 'cuda:0'"),
+        RuntimeError("Warp CUDA error 2: out of memory (in function ...)"),
+    ],
+)
+def test_running_out_names_the_flags_that_help(error: Exception) -> None:
+    estimate = estimate_memory([5000] * 17, 10_000, Config())
+    with (
+        pytest.raises(DeviceError, match="--points, --template.faces-max or --grid.levels"),
+        explained_shortage(estimate, CPU),
+    ):
+        raise error
+
+
+def test_other_errors_stay_what_they_are() -> None:
+    with (
+        pytest.raises(RuntimeError, match="something else"),
+        explained_shortage(estimate_memory([10], 10, Config()), CPU),
+    ):
+        raise RuntimeError("something else")
+
+
+def test_running_out_in_the_middle(rng: np.random.Generator, monkeypatch) -> None:
+    def full(self) -> None:
+        raise RuntimeError("Failed to allocate 4096 bytes on device 'cuda:0'")
+
+    monkeypatch.setattr(Optimiser, "step", full)
+    moving = synthetic.turning_ellipsoid(3, 200, rng)
+    template = warpdef.TriMesh(moving.vertices[1], moving.faces)
+    with pytest.raises(DeviceError, match="out of memory on .*: the run needs about"):
+        warpdef.reconstruct(np.stack(moving.clouds), device="cpu", template=template, threads=1)

@@ -1,0 +1,83 @@
+"""Five hundred damaged inputs through the real commands; ``python tests/mutate.py --count 10000`` tries many more."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+from mutate import MEMORY_CONSTANT, Trial, mutated, run_tries
+from mutation_samples import TRAP, Sample
+
+COUNT = 500
+
+
+def test_five_hundred_damaged_inputs():
+    outcomes = list(run_tries(1, range(COUNT)))
+    assert [(index, o.sample, o.how, o.problem) for index, o in outcomes if o.problem] == []
+    assert len(outcomes) == COUNT
+    codes = [o.code for _, o in outcomes]
+    # Most damage is found, and some is none.
+    assert codes.count(2) > COUNT / 2 and codes.count(0) > COUNT / 20
+
+
+@pytest.fixture
+def trial(tmp_path) -> Trial:
+    trial = Trial.__new__(Trial)
+    trial.folder, trial.samples = tmp_path, []
+    return trial
+
+
+def broken_promise(trial: Trial, monkeypatch, command) -> str:
+    """What the judge says of a command that does as told."""
+    monkeypatch.setattr("warpdef.apps.main.run", command)
+    return trial.attempt(Sample("a", {"a.txt": b"x"}, "a.txt", ("{in}", "{out}")), "none", b"x").problem
+
+
+def test_every_promise_can_be_broken(trial, monkeypatch):
+    """The judge finds what it is there to find."""
+
+    def raises(arguments):
+        raise KeyError("a defect")
+
+    def hangs(arguments):
+        while True:
+            pass
+
+    def writes(name):
+        return lambda arguments: (trial.folder / name).write_text("x") and 0
+
+    def says(line, code):
+        return lambda arguments: os.write(2, line.encode() + b"\n") and code
+
+    def takes_memory(arguments):
+        np.ones(MEMORY_CONSTANT // 4)
+        return 0
+
+    monkeypatch.setattr("mutate.SECONDS_MAX", 0.2)
+    error = "warpdef: error: so it is"
+    for command, problem in {
+        raises: "KeyError: 'a defect'",
+        hangs: "no end after 0.2 s",
+        takes_memory: "512 MiB for an input of 1 bytes",
+        writes("elsewhere"): "wrote ['elsewhere']",
+        writes(TRAP): f"executed what the file contains: ['{TRAP}']",
+        writes("out"): "",
+        says("", 1): "exit code 1",
+        says("", 2): "not one line 'warpdef: error: ...'",
+        says(f"{error}\n{error}", 2): "not one line 'warpdef: error: ...'",
+        says(error, 2): "",
+        says(f"Traceback (most recent call last)\n{error}", 2): "a traceback",
+        (lambda arguments: writes("out")(arguments) or says(error, 2)(arguments)): "exit code 2, but left ['out']",
+    }.items():
+        monkeypatch.setattr("mutate.SECONDS_MAX", 0.2 if command is hangs else 30.0)
+        found = broken_promise(trial, monkeypatch, command)
+        assert found == problem or (command is takes_memory and "MiB for an input of 1 bytes" in found)
+
+
+def test_the_same_try_is_the_same_damage(rng):
+    data = rng.bytes(500)
+    made = [mutated(data, np.random.default_rng([0, 7])) for _ in range(2)]
+    assert made[0] == made[1]
+    kinds = {mutated(data, np.random.default_rng([0, i]))[0] for i in range(200)}
+    assert len(kinds) == 12

@@ -1,0 +1,117 @@
+"""Limbs lost and found: two legs that swing past each other's place between two frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from synthetic import icosphere, sample_surface
+
+from warpdef.fit.recover import Cloud, Matches, recover
+from warpdef.mesh import unique_edges
+
+DEGREE = np.pi / 180
+LEGS = (20 * DEGREE, -20 * DEGREE)
+
+
+def body(swings: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """A ball with two legs in the x-y plane, swung about z by these angles; the same vertices for all swings."""
+    direction, faces = icosphere(4)
+    heading = np.arctan2(direction[:, 0], -direction[:, 1])
+    aside = np.arcsin(np.clip(direction[:, 2], -1, 1))
+    vertices = np.full((len(direction), 1), 0.35) * direction
+    turn = np.zeros(len(direction))
+    for leg, swing in zip(LEGS, swings, strict=True):
+        off = np.sqrt((heading - leg) ** 2 + aside**2)
+        vertices += (0.9 * np.exp(-((off / (11 * DEGREE)) ** 2)))[:, None] * direction
+        turn += swing * np.exp(-((off / (17 * DEGREE)) ** 4))
+    c, s = np.cos(turn), np.sin(turn)
+    x, y, z = vertices.T
+    return np.column_stack([c * x - s * y, s * x + c * y, z]), faces
+
+
+def cloud_of(vertices: np.ndarray, faces: np.ndarray, seed: int, oriented: bool = True) -> Cloud:
+    rng = np.random.default_rng(seed)
+    points, normals = sample_surface(vertices, faces, 3000, rng)
+    if not oriented:
+        normals = normals * rng.choice([-1.0, 1.0], size=(len(normals), 1))
+    return Cloud(points, normals, oriented, oriented)
+
+
+@pytest.fixture(scope="module")
+def swing() -> tuple[np.ndarray, np.ndarray]:
+    """Vertices of two frames, (2, V, 3), and faces: the first leg comes to where the second one was."""
+    first, faces = body((0.0, 0.0))
+    second, _ = body((-24 * DEGREE, -26 * DEGREE))
+    return np.stack([first, second]), faces
+
+
+@pytest.mark.parametrize("oriented", [True, False])
+def test_a_leg_on_the_wrong_leg_is_found(swing, oriented):
+    truth, faces = swing
+    clouds = [cloud_of(v, faces, seed, oriented) for seed, v in enumerate(truth)]
+    edges = unique_edges(faces)
+    # What nearest neighbours make of it: the second leg where the first one should be, and the other way round.
+    wrong = truth.copy()
+    wrong[1], _ = body((0.0, 6 * DEGREE))
+    assert Matches(clouds[1], faces, edges).uncovered(wrong[1]) > 0.05
+    before = wrong[0].copy()
+    assert recover(wrong, clouds, faces, edges, keyframe=0) == ([1], [])
+    np.testing.assert_array_equal(wrong[0], before)
+    error = np.linalg.norm(wrong[1] - truth[1], axis=1)
+    moved = np.linalg.norm(truth[1] - truth[0], axis=1)
+    assert moved.max() > 0.5
+    assert np.quantile(error, 0.99) < 0.15 * moved.max()
+    assert error.mean() < 0.03 * moved.max()
+
+
+def test_both_directions_from_the_keyframe(swing):
+    truth, faces = swing
+    frames = truth[[1, 0, 1]]
+    clouds = [cloud_of(v, faces, seed) for seed, v in enumerate(frames)]
+    still = np.tile(truth[0], (3, 1, 1))
+    assert recover(still, clouds, faces, unique_edges(faces), keyframe=1) == ([0, 2], [])
+
+
+def test_frames_that_fit_stay_bit_for_bit(swing):
+    truth, faces = swing
+    clouds = [cloud_of(v, faces, seed) for seed, v in enumerate(truth)]
+    vertices = truth.copy()
+    assert recover(vertices, clouds, faces, unique_edges(faces), keyframe=1) == ([], [])
+    np.testing.assert_array_equal(vertices, truth)
+
+
+def test_points_that_no_bending_reaches_are_reported(swing):
+    """A cloud far away: the frame and those behind it stay as they are."""
+    truth, faces = swing
+    away = truth[0] + [9.0, 0, 0]
+    clouds = [cloud_of(v, faces, seed) for seed, v in enumerate([truth[0], away, truth[1]])]
+    vertices = np.tile(truth[0], (3, 1, 1))
+    recovered, lost = recover(vertices, clouds, faces, unique_edges(faces), keyframe=0)
+    assert (recovered, lost) == ([], [1, 2])
+    np.testing.assert_array_equal(vertices, np.tile(truth[0], (3, 1, 1)))
+
+
+def test_every_object_counts_by_itself(swing):
+    """Two objects are two components of the mesh; the smaller one is no lost limb."""
+    truth, faces = swing
+    small = 0.5 * truth[0] + [3.0, 0, 0]
+    both = np.concatenate([truth[0], small])
+    both_faces = np.concatenate([faces, faces + len(small)])
+    cloud = cloud_of(both, both_faces, 0)
+    matches = Matches(cloud, both_faces, unique_edges(both_faces))
+    trusted, goal, normal = matches.find(both)
+    assert len(trusted) == len(goal) == len(normal)
+    assert (trusted >= len(small)).sum() > 0.8 * len(small)
+    assert matches.uncovered(both) < 0.01
+
+
+def test_matches_of_a_flat_patch_keep_their_sides(swing):
+    """Against the normals there is no match, unless their side is unknown."""
+    truth, faces = swing
+    right = cloud_of(truth[0], faces, 0)
+    turned = Cloud(right.points, -right.normals, True, True)
+    edges = unique_edges(faces)
+    assert len(Matches(turned, faces, edges).find(truth[0])[0]) < 0.05 * len(truth[0])
+    assert Matches(turned, faces, edges).uncovered(truth[0]) > 0.9
+    unknown = Cloud(right.points, -right.normals, False, False)
+    assert Matches(unknown, faces, edges).uncovered(truth[0]) < 0.01

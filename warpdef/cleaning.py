@@ -1,0 +1,151 @@
+"""Points that belong to no surface: found before anything else looks at a cloud.
+
+Scanners leave stray points all around. They would blow up the cube that the sequence is normalised into, pull the
+template and spoil its keyframe. Two tests, both relative to the local spacing, so that sparse and uneven clouds keep
+all they have:
+
+1. Link every point to its neighbours within a few local spacings. A surface hangs together; strays far from it are cut
+   off, alone or in clusters that are neither dense nor flat.
+2. Where the first test found strays, others float close above the surface: points whose height over the plane of their
+   neighbours is several spacings and much more than the roughness there.
+
+A cloud in which the first test finds next to nothing keeps every point. NumPy and SciPy only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from warpdef.sequence import MIN_POINTS, PointSequence, name_frames
+
+NEIGHBOURS = 8  # whose farthest gives the local spacing: sqrt(8 a / pi) on a surface with area a a point
+# Longest link, in local spacings; how many times its neighbours' spacing that of a point counts at most, so that strays
+# form no bridges; and how many times over that is asked.
+CAREFUL = (2.0, 1.2, 8)  # a surface loses nothing by it, be it uneven by 10 to 1
+STRICT = (1.8, 1.1, 12)  # where there are many strays for certain
+GRAPH_NEIGHBOURS = 16
+LEAST_CLUSTER = 0.005  # share of the points below which a cut-off cluster is not an object
+DENSE = 1.5  # a cut-off cluster is an object if its spacing is below this times the main one's ...
+FLAT, SPARSE = 0.3, 6.0  # ... or below the latter, and its neighbourhoods are this flat; those of strays have 0.5
+IN_PLANE_FLAT, IN_PLANE_HEIGHT = 0.2, 0.3  # a cut-off point in the plane of flat neighbours is surface, not stray
+FALSE_ALARM = 0.4  # share of such among the cut-off points, above which these are a sparse part of the surface
+STRICT_FROM = 0.05  # share of strays by the careful rule from which the strict one is asked
+LEAST_STRAYS = 0.002  # share of the points; up to that, nothing is dropped
+HEIGHT = 0.75  # of a floating point, in local spacings
+HEIGHT_OVER_ROUGHNESS = 6.0
+ROUNDS = 3  # strays spoil the planes of their neighbours: the worst go first
+LEAST_POINTS = 50  # clouds below that are left alone
+
+
+def inlier_mask(points: np.ndarray) -> np.ndarray:
+    """Which points lie on a surface, shape (N,) bool; all of them in a clean cloud.
+
+    Made for up to 30 % strays, uniform over a box around the body.
+
+    Args:
+        points: shape (N, 3), any units.
+    """
+    from scipy.spatial import cKDTree
+
+    points = np.asarray(points, dtype=np.float64)
+    every = np.ones(len(points), dtype=bool)
+    if len(points) < LEAST_POINTS:
+        return every
+    distance, index = cKDTree(points).query(points, k=GRAPH_NEIGHBOURS + 1)
+    distance, index = distance[:, 1:], index[:, 1:]
+    spacing = distance[:, NEIGHBOURS - 1]
+    inlier = _hangs_together(points, distance, index, spacing, CAREFUL)
+    if (~inlier).sum() <= max(LEAST_STRAYS * len(points), 1):
+        return every
+    if _in_plane(points[~inlier], points[index[~inlier]], spacing[~inlier]).mean() > FALSE_ALARM:
+        return every
+    if (~inlier).mean() > STRICT_FROM:
+        inlier &= _hangs_together(points, distance, index, spacing, STRICT)
+    for _ in range(ROUNDS):
+        floating = _floats(points[inlier])
+        if not floating.any():
+            break
+        inlier[np.flatnonzero(inlier)[floating]] = False
+    return inlier
+
+
+def _hangs_together(
+    points: np.ndarray, distance: np.ndarray, index: np.ndarray, spacing: np.ndarray, rule: tuple[float, float, int]
+) -> np.ndarray:
+    """Points of the main cluster and of other objects, shape (N,) bool."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    link, growth, rounds = rule
+    calm = spacing
+    for _ in range(rounds):
+        calm = np.minimum(spacing, growth * calm[index[:, :NEIGHBOURS]].min(axis=1))
+    linked = distance <= link * np.minimum(calm[:, None], calm[index])
+    rows = np.repeat(np.arange(len(points)), linked.sum(axis=1))
+    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, index[linked])), shape=(len(points),) * 2)
+    labels = connected_components(graph, directed=False)[1]
+    size = np.bincount(labels)
+    main = int(size.argmax())
+    usual = float(np.median(spacing[labels == main]))
+    keep = np.zeros(len(size), dtype=bool)
+    keep[main] = True
+    for cluster in np.flatnonzero(size >= max(LEAST_CLUSTER * len(points), 10)):
+        inside = labels == cluster
+        sparser = float(np.median(spacing[inside])) / max(usual, 1e-300)
+        keep[cluster] |= sparser < DENSE or (sparser < SPARSE and _thickness(points[index[inside]]) < FLAT)
+    return keep[labels]
+
+
+def _in_plane(points: np.ndarray, near: np.ndarray, spacing: np.ndarray) -> np.ndarray:
+    """Which points (M, 3) continue the flat neighbourhood (M, K, 3) around them, shape (M,) bool."""
+    centre = near.mean(axis=1)
+    away = near - centre[:, None]
+    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", away, away))
+    height = np.abs(np.einsum("ni,ni->n", points - centre, axes[:, :, 0]))
+    return (spread[:, 0] < IN_PLANE_FLAT * spread[:, 1]) & (height < IN_PLANE_HEIGHT * spacing)
+
+
+def _thickness(near: np.ndarray) -> float:
+    """Median over neighbourhoods (M, K, 3) of the smallest over the middle variance: 0 flat, 1 a ball."""
+    near = near - near.mean(axis=1, keepdims=True)
+    spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near))
+    return float(np.median(spread[:, 0] / np.maximum(spread[:, 1], 1e-300)))
+
+
+def _floats(points: np.ndarray) -> np.ndarray:
+    """Points high above the plane of their neighbours, for the roughness and spacing there; shape (N,) bool."""
+    from scipy.spatial import cKDTree
+
+    count = min(12, len(points) - 1)
+    distance, index = cKDTree(points).query(points, k=count + 1)
+    spacing = distance[:, min(NEIGHBOURS, count)]
+    near = points[index[:, 1:]]
+    centre = np.median(near, axis=1)
+    near = near - near.mean(axis=1, keepdims=True)
+    normal = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))[1][:, :, 0]
+    heights = np.einsum("nki,ni->nk", points[index[:, 1:]] - centre[:, None], normal)
+    roughness = 1.48 * np.median(np.abs(heights), axis=1)
+    height = np.abs(np.einsum("ni,ni->n", points - centre, normal))
+    around = np.median(spacing[index[:, 1:]], axis=1)
+    return (height > HEIGHT * around) & (height > HEIGHT_OVER_ROUGHNESS * roughness)
+
+
+def drop_strays(sequence: PointSequence) -> PointSequence:
+    """The sequence without points that belong to no surface; a note says how many, and in which frames.
+
+    Frames that would be left with fewer than ``MIN_POINTS`` points stay whole.
+    """
+    masks = [inlier_mask(points) for points in sequence.points]
+    masks = [mask if mask.sum() >= MIN_POINTS else np.ones_like(mask) for mask in masks]
+    found = [(number, mask) for number, mask in zip(sequence.numbers, masks, strict=True) if not mask.all()]
+    if not found:
+        return sequence
+    strays = sum(int((~mask).sum()) for _, mask in found)
+    share = strays / sum(len(mask) for _, mask in found)
+    which = name_frames([number for number, _ in found])
+    points = tuple(p[m] for p, m in zip(sequence.points, masks, strict=True))
+    normals = tuple(n if n is None else n[m] for n, m in zip(sequence.normals, masks, strict=True))
+    note = f"{which}: {strays} stray points ({share:.1%}) on no surface left out; --no-drop-strays keeps them"
+    return replace(sequence, points=points, normals=normals, notes=(*sequence.notes, note))

@@ -1,0 +1,137 @@
+"""One cloud: checked, cleaned, and thinned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warpdef.errors import InputError
+
+MIN_POINTS = 10
+LARGEST_COORDINATE = 1e30
+"""Coordinates beyond it are no measurement, and squared they would leave float32."""
+
+
+def check_cloud(
+    points: np.ndarray, normals: np.ndarray | None, name: str
+) -> tuple[np.ndarray, np.ndarray | None, int, int, bool]:
+    """One frame, clean: duplicates merged, points that are no numbers left out, normals of unit length.
+
+    Args:
+        points: shape (N, 3). normals: shape (N, 3), or None. name: of the frame, for errors.
+
+    Returns:
+        Points and normals, float64; duplicates merged; points left out; whether normals were given but are not usable.
+
+    Raises:
+        InputError: a wrong shape, fewer than 10 different points, or all points equal.
+    """
+    p, n = _as_points(points, name), _as_normals(normals, points, name)
+    # "not <=" holds for NaN too.
+    bad = np.zeros(len(p), dtype=bool)
+    for axis in range(3):
+        bad |= ~(np.abs(p[:, axis]) <= LARGEST_COORDINATE)
+    dropped = int(bad.sum())
+    if dropped:
+        if len(p) - dropped < MIN_POINTS:
+            raise InputError(
+                f"{name}: points: expected finite coordinates below {LARGEST_COORDINATE:g}, got NaN or infinity or "
+                f"larger in {dropped} of {len(p)} (first: point {int(bad.argmax())}); scan it again"
+            )
+        p, n = p[~bad], None if n is None else n[~bad]
+    unit = None if n is None else _unit(n)
+    p, unit, merged = _merge_duplicates(p, unit)
+    if len(p) == 1:
+        raise InputError(f"{name}: all points are equal; expected a surface, got a single position; drop this frame")
+    if len(p) < MIN_POINTS:
+        raise InputError(f"{name}: expected at least {MIN_POINTS} different points, got {len(p)}; drop this frame")
+    return p, unit, merged, dropped, n is not None and unit is None
+
+
+def _as_points(points: np.ndarray, name: str) -> np.ndarray:
+    try:
+        # A damaged file may hold signalling NaNs, of which NumPy would warn.
+        with np.errstate(invalid="ignore", over="ignore"):
+            points = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: points: expected numbers of shape (N, 3), got something else") from None
+    if points.ndim != 2 or points.shape[1] != 3:
+        hint = "; drop the columns after the third" if points.ndim == 2 and points.shape[1] > 3 else ""
+        raise InputError(f"{name}: points: expected shape (N, 3), got {points.shape}{hint}")
+    if len(points) < MIN_POINTS:
+        raise InputError(
+            f"{name}: expected at least {MIN_POINTS} points, got {len(points)}; drop this frame or scan it again"
+        )
+    return points
+
+
+def _as_normals(normals: np.ndarray | None, points: np.ndarray, name: str) -> np.ndarray | None:
+    if normals is None:
+        return None
+    try:
+        with np.errstate(invalid="ignore", over="ignore"):
+            normals = np.asarray(normals, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: normals: expected numbers of shape (N, 3), got something else") from None
+    if normals.shape != (len(points), 3):
+        raise InputError(
+            f"{name}: normals: expected shape ({len(points)}, 3) as the points have, got {normals.shape}; "
+            "give one normal a point, or none"
+        )
+    return normals
+
+
+def _unit(normals: np.ndarray) -> np.ndarray | None:
+    """Unit normals; None if one of them says nothing: estimating the whole frame is safer than mixing."""
+    largest = np.abs(normals).max(axis=1)
+    if not ((largest > 0) & (largest < np.inf)).all():
+        return None
+    # Divided twice, so that neither huge nor tiny ones leave the range of their squares.
+    scaled = normals / largest[:, None]
+    return scaled / np.linalg.norm(scaled, axis=1)[:, None]
+
+
+def _merge_duplicates(points: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None, int]:
+    # Sorting a hash of each point is far quicker than sorting points. Stable: the first in the file comes first.
+    hashes = _hashes(points)
+    order = np.argsort(hashes, kind="stable")
+    hashes = hashes[order]
+    pairs = np.flatnonzero(hashes[1:] == hashes[:-1])
+    if not _equal(points, order, pairs).all():
+        order = np.lexsort(points.T)
+        pairs = np.arange(len(points) - 1)
+        pairs = pairs[_equal(points, order, pairs)]
+    if not len(pairs):
+        return points, normals, 0
+    kept = np.ones(len(points), dtype=bool)
+    kept[order[pairs + 1]] = False
+    return points[kept], None if normals is None else normals[kept], len(pairs)
+
+
+def _equal(points: np.ndarray, order: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Whether the point at each of these places in the order equals the next one."""
+    here, there = order[places], order[places + 1]
+    same = points[here, 0] == points[there, 0]
+    for axis in (1, 2):
+        same &= points[here, axis] == points[there, axis]
+    return same
+
+
+def _hashes(points: np.ndarray) -> np.ndarray:
+    """A number for each point, equal for equal points, shape (N,) uint64."""
+    # Large odd factors; 0.0 is added so that -0.0 and 0.0 have the same bits.
+    mixed = np.zeros(len(points), dtype=np.uint64)
+    for axis, factor in enumerate((0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)):
+        mixed ^= mixed >> np.uint64(29)
+        mixed += (points[:, axis] + 0.0).view(np.uint64)
+        mixed *= np.uint64(factor)
+    return mixed
+
+
+def draw_points(
+    points: np.ndarray, normals: np.ndarray | None, count: int, seed: int, number: int
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """At most ``count`` of the points and their normals, without replacement, order kept; by seed and frame number."""
+    if len(points) <= count:
+        return points, normals
+    chosen = np.sort(np.random.default_rng([seed, number]).choice(len(points), count, replace=False))
+    return points[chosen], None if normals is None else normals[chosen]

@@ -1,0 +1,172 @@
+"""Embedded deformation: rigid motions at nodes spread over a mesh, blended at its vertices (Sumner et al. 2007).
+
+A vertex x with nodes j of weight w_j goes to sum_j w_j (R_j (x - g_j) + g_j + t_j). A few hundred nodes bend a limb in
+a handful of Gauss-Newton steps, where moving every vertex by itself would need hundreds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_NEAREST = 4  # nodes a vertex
+
+
+@dataclass(frozen=True)
+class Pose:
+    """rotation: of every node (n, 3, 3). shift: of every node (n, 3)."""
+
+    rotation: np.ndarray
+    shift: np.ndarray
+
+    @classmethod
+    def identity(cls, count: int) -> Pose:
+        return cls(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
+
+
+@dataclass(frozen=True)
+class DeformationGraph:
+    """Nodes of a mesh of V vertices.
+
+    node:   vertices that are nodes (n,)
+    index:  nodes of each vertex (V, 4), nearest along the surface first
+    weight: their weights (V, 4), sum 1
+    link:   ordered pairs of nodes that share a vertex (e, 2)
+    """
+
+    node: np.ndarray
+    index: np.ndarray
+    weight: np.ndarray
+    link: np.ndarray
+
+    @classmethod
+    def build(cls, vertices: np.ndarray, edges: np.ndarray, count: int) -> DeformationGraph:
+        """Spread ``count`` nodes over vertices (V, 3) with edges (E, 2), each the farthest from those before it."""
+        from scipy import sparse
+        from scipy.sparse.csgraph import dijkstra
+
+        total = len(vertices)
+        count = min(count, total)
+        length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+        # A length of 0 would be no edge to a sparse matrix.
+        length = np.maximum(length, 1e-9 * max(float(length.max(initial=0.0)), 1e-30))
+        both = (np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]]))
+        walk = sparse.csr_matrix((np.tile(length, 2), both), shape=(total, total))
+
+        # The nearest nodes so far of every vertex, and how far along the surface.
+        near = np.full((total, _NEAREST + 1), np.inf)
+        who = np.zeros((total, _NEAREST + 1), dtype=np.int64)
+        node = np.zeros(count, dtype=np.int64)
+        for k in range(count):
+            # A component without a node is infinitely far and comes first.
+            node[k] = np.argmax(near[:, 0]) if k else 0
+            reach = near[node[k], 0]
+            far = dijkstra(walk, indices=node[k], limit=3.0 * reach if np.isfinite(reach) else np.inf)
+            touched = np.flatnonzero(far < near[:, -1])
+            values = np.column_stack([near[touched], far[touched]])
+            names = np.column_stack([who[touched], np.full(len(touched), k)])
+            order = np.argsort(values, axis=1, kind="stable")[:, :-1]
+            near[touched] = np.take_along_axis(values, order, axis=1)
+            who[touched] = np.take_along_axis(names, order, axis=1)
+
+        # Weights fall to 0 at the first node that is left out, so that they are continuous over the surface.
+        edge = np.where(np.isfinite(near), near, 0.0).max(axis=1, keepdims=True) * 1.01 + 1e-12
+        edge = np.where(np.isfinite(near[:, -1:]), near[:, -1:], edge)
+        weight = np.maximum(1.0 - near[:, :-1] / edge, 0.0) ** 2
+        weight[~(weight.sum(axis=1) > 0), 0] = 1.0
+        weight /= weight.sum(axis=1, keepdims=True)
+        index = who[:, :-1]
+        touch = sparse.csr_matrix(
+            ((weight > 0).astype(float).ravel(), (np.repeat(np.arange(total), _NEAREST), index.ravel())),
+            shape=(total, count),
+        )
+        shared = (touch.T @ touch).tocoo()
+        apart = (shared.row != shared.col) & (shared.data > 0)
+        return cls(node, index, weight, np.column_stack([shared.row[apart], shared.col[apart]]).astype(np.int64))
+
+    def place(self, rest: np.ndarray, pose: Pose) -> np.ndarray:
+        """All vertices, (V, 3), of the mesh ``rest`` (V, 3) in ``pose``."""
+        anchor = rest[self.node]
+        placed = np.zeros_like(rest)
+        for j, w in zip(self.index.T, self.weight.T, strict=True):
+            turned = np.einsum("vab,vb->va", pose.rotation[j], rest - anchor[j])
+            placed += w[:, None] * (turned + anchor[j] + pose.shift[j])
+        return placed
+
+    def step(
+        self,
+        rest: np.ndarray,
+        pose: Pose,
+        chosen: np.ndarray,
+        goal: np.ndarray,
+        normal: np.ndarray,
+        rigidity: float,
+        tangential: float,
+    ) -> Pose:
+        """One Gauss-Newton step of
+
+            1/m sum_i ((n_i . r_i)^2 + tangential |r_i|^2)
+            + rigidity/e sum_(j,k) |R_j (g_k - g_j) + g_j + t_j - g_k - t_k|^2
+
+        with r_i the vertex ``chosen[i]`` minus its ``goal`` (m, 3), n its unit ``normal`` (m, 3).
+        """
+        from scipy.sparse import csc_matrix, csr_matrix, identity, vstack
+        from scipy.sparse.linalg import splu
+
+        count, anchor = len(self.node), rest[self.node]
+        fit, fit_at, misfit = self._residuals(rest, pose, chosen, goal, normal, tangential)
+        j, k = self.link.T
+        arm = np.einsum("eab,eb->ea", pose.rotation[j], anchor[k] - anchor[j])
+        bend = np.zeros((len(j), 3, 12))
+        bend[:, :, :3] = -_cross_matrix(arm)
+        bend[:, :, 3:6] = np.eye(3)
+        bend[:, :, 9:] = -np.eye(3)
+        bend_at = np.concatenate([j[:, None] * 6 + np.arange(6), k[:, None] * 6 + np.arange(6)], axis=1)
+        bent = arm + anchor[j] + pose.shift[j] - anchor[k] - pose.shift[k]
+        fit_scale, bend_scale = 1.0 / np.sqrt(max(len(chosen), 1)), np.sqrt(rigidity / max(len(j), 1))
+
+        def rows(blocks: np.ndarray, at: np.ndarray) -> csr_matrix:
+            height, width = blocks.shape[0] * 3, blocks.shape[2]
+            flat = blocks.reshape(height, width)
+            first = np.arange(0, height * width + 1, width)
+            return csr_matrix((flat.ravel(), np.repeat(at, 3, axis=0).ravel(), first), shape=(height, 6 * count))
+
+        jacobian = vstack([rows(fit * fit_scale, fit_at), rows(bend * bend_scale, bend_at)]).tocsr()
+        residual = np.concatenate([misfit.ravel() * fit_scale, bent.ravel() * bend_scale])
+        # Nodes that nothing holds, on their own in a component, stay.
+        system = csc_matrix(jacobian.T @ jacobian + 1e-12 * identity(6 * count))
+        options = {"SymmetricMode": True}
+        solve = splu(system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+        move = solve.solve(-(jacobian.T @ residual)).reshape(count, 6)
+        return Pose(_rotations(move[:, :3]) @ pose.rotation, pose.shift + move[:, 3:])
+
+    def _residuals(self, rest, pose, chosen, goal, normal, tangential):
+        """Weighted residuals (m, 3), their derivatives (m, 3, 24) and the unknowns these belong to (m, 24)."""
+        anchor, root = rest[self.node], np.sqrt(tangential)
+        # The square root of n n^T + tangential I.
+        weigh = root * np.eye(3) + (np.sqrt(1.0 + tangential) - root) * normal[:, :, None] * normal[:, None, :]
+        blocks, at = [], []
+        placed = np.zeros((len(chosen), 3))
+        for j, w in zip(self.index[chosen].T, self.weight[chosen].T, strict=True):
+            arm = np.einsum("vab,vb->va", pose.rotation[j], rest[chosen] - anchor[j])
+            placed += w[:, None] * (arm + anchor[j] + pose.shift[j])
+            blocks += [-_cross_matrix(arm) * w[:, None, None], np.eye(3) * w[:, None, None]]
+            at.append(j[:, None] * 6 + np.arange(6))
+        derivative = weigh @ np.concatenate(blocks, axis=2)
+        return derivative, np.concatenate(at, axis=1), np.einsum("vab,vb->va", weigh, placed - goal)
+
+
+def _cross_matrix(v: np.ndarray) -> np.ndarray:
+    """[v]_x for vectors (n, 3): (n, 3, 3)."""
+    z = np.zeros(len(v))
+    x, y, w = v.T
+    return np.stack([z, -w, y, w, z, -x, -y, x, z], axis=1).reshape(-1, 3, 3)
+
+
+def _rotations(v: np.ndarray) -> np.ndarray:
+    """Rotations by the vectors (n, 3), angle their length (Rodrigues): (n, 3, 3)."""
+    angle = np.linalg.norm(v, axis=1)[:, None, None]
+    cross = _cross_matrix(v)
+    # numpy's sinc(x) is sin(pi x) / (pi x).
+    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross @ cross

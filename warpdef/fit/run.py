@@ -1,0 +1,201 @@
+"""Both stages of the fit, run so that nothing is lost.
+
+Every few iterations the state is looked at. If it is finite it is remembered on the device and, now and then, written
+to a checkpoint; if it is not, all goes back to what was remembered, and on at half the rate. A run told to stop ends
+with what it has. All of that happens at fixed iterations, so a run taken up again ends with the bits of one unbroken.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+from typing import Any
+
+import warp as wp
+
+from warpdef.errors import WarpdefError
+from warpdef.fit.optimise import Optimiser
+from warpdef.fit.refine import Refinement
+from warpdef.fit.saving import Saved, Saver
+from warpdef.fit.sobolev import SolveReport
+from warpdef.kernels.finite import flag_not_finite
+from warpdef.progress import Callback, Limits, Progress
+
+LOOK_EVERY = 10  # iterations between two looks at the losses: a look waits for the device
+UNDO_MAX = 20  # undone steps in a row after which lower rates will not help either
+_ROUND_COST = 3.0  # of a round of the vertex stage in iterations, for planning; about 2 were measured
+
+
+class FitRun:
+    """A run of the grid stage and, where there is one, of the vertex stage.
+
+    steps: the loss curve, a record a look. warnings: what went wrong and how it went on.
+    stopped: why the run ended before its time; empty if it did not.
+    """
+
+    def __init__(
+        self, optimiser: Optimiser, refinement: Refinement | None, limits: Limits, saver: Saver, tell: Callback
+    ) -> None:
+        self.optimiser, self.refinement = optimiser, refinement
+        self.limits, self.saver, self.tell = limits, saver, tell
+        self.steps: list[dict[str, float]] = []
+        self.warnings: list[str] = []
+        self.stopped = ""
+        self._undone = 0  # in a row
+        self._refining = False
+        self._began_at = 0
+
+    # Grid stage.
+
+    def descend(self) -> None:
+        """All iterations of the grid stage, or those until it must stop; then the vertices of all frames."""
+        if self._refining:
+            return
+        o = self.optimiser
+        if not o.done:
+            o.keep()
+        self._began_at = o.done
+        begun = self.limits.seconds
+        self._save_if_due()
+        while o.done < o.iterations and not self.stopped:
+            o.step()
+            if o.done % LOOK_EVERY == 0 or o.done == o.iterations:
+                self._look()
+                self._save_if_due()
+            if o.done < o.iterations:
+                self.stopped = self.stopped or self.limits.reason(self._vertex_seconds(begun))
+        if self.stopped:
+            self._save_and_end()
+            if o.done % LOOK_EVERY:
+                self._look()
+        o.finish()
+
+    def _look(self) -> None:
+        o = self.optimiser
+        solves = replace(o.solves)
+        losses = o.look()
+        if not (math.isfinite(losses["total"]) and o.finite()):
+            o.solves = solves
+            self._undo(losses)
+            return
+        self._undone = 0
+        self.steps.append({"iteration": o.done, **losses})
+        o.keep()
+        self.tell(Progress("optimise", o.done, o.iterations, losses))
+
+    def _undo(self, losses: dict[str, float]) -> None:
+        o = self.optimiser
+        reached = o.done
+        o.go_back()
+        self._undone += 1
+        if self._undone > UNDO_MAX:
+            why = f"the optimisation left the finite numbers by iteration {reached}"
+            if not o.done:
+                raise WarpdefError(f"{why} (losses {losses}), at any rate; lower optimiser.rate")
+            self.stopped = f"{why} at any rate; the state of iteration {o.done} was taken"
+            return
+        o.slow_down(0.5 * o.rate_scale)
+        self._warn(
+            f"iterations {o.done + 1} to {reached} left the finite numbers and were undone; "
+            f"learning rates are now {o.rate_scale:g} of the configured ones",
+        )
+
+    def _vertex_seconds(self, begun: float) -> float:
+        """What the vertex stage will take, by the iterations so far; at most a third of the limit."""
+        done = self.optimiser.done - self._began_at
+        if self.refinement is None or done <= 0 or self.limits.seconds_max is None:
+            return 0.0
+        rounds = _ROUND_COST * self.refinement.config.iterations
+        return min(rounds * (self.limits.seconds - begun) / done, self.limits.seconds_max / 3)
+
+    # Vertex stage.
+
+    def refine(self) -> None:
+        """All rounds of the vertex stage, or those until it must stop."""
+        r = self.refinement
+        if r is None:
+            return
+        reason = self.limits.reason()
+        if not self._refining and not reason:
+            r.start()
+            self._refining = True
+        good = {name: wp.clone(array) for name, array in r.state().items()}
+        rounds = r.config.iterations
+        while r.done < rounds and not reason:
+            r.step()
+            if not _finite(r.state()):
+                self._warn(
+                    f"round {r.done} of the vertex stage left the finite numbers and was undone; the result is that of "
+                    f"round {r.done - 1}. Raise refine.damping",
+                )
+                r.restore(good, r.done - 1)
+                break
+            r.look()
+            for name, array in r.state().items():
+                wp.copy(good[name], array)
+            self.tell(Progress("refine", r.done, rounds))
+            self._save_if_due()
+            reason = self.limits.reason()
+        if reason and r.done < rounds:
+            self.stopped = self.stopped or reason
+            self._save_and_end()
+
+    # On disk.
+
+    def _save_if_due(self) -> None:
+        if self.saver.due():
+            self._save()
+
+    def _save_and_end(self) -> None:
+        """What comes after a stop is not the way of an unbroken run: it must not be what a later run goes on from."""
+        self._save()
+        self.saver.end()
+
+    def _save(self) -> None:
+        o, r = self.optimiser, self.refinement
+        facts: dict[str, Any] = {
+            "iteration": int(o.kept()["step"][0]),
+            "iterations": o.iterations,
+            "rate_scale": o.rate_scale,
+            "undone": self._undone,
+            "rounds": r.done if r is not None and self._refining else None,
+            "steps": self.steps,
+            "warnings": self.warnings,
+            "solves": [asdict(s.solves) for s in (o, r) if s is not None],
+        }
+        arrays = {f"grids.{name}": a for name, a in o.kept().items()}
+        if r is not None and self._refining:
+            arrays |= {f"refine.{name}": a.numpy() for name, a in r.state().items()}
+        trouble = self.saver.save(facts, arrays)
+        if trouble:
+            self._warn(trouble)
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from a checkpoint of a run on the same problem."""
+        facts = saved.facts
+        self.optimiser.restore(saved.part("grids"), facts["rate_scale"])
+        self.steps, self._undone = list(facts["steps"]), facts["undone"]
+        self.warnings = [*facts["warnings"], *saved.warnings()]
+        for stage, solves in zip((self.optimiser, self.refinement), facts["solves"], strict=False):
+            if stage is not None:
+                stage.solves = SolveReport(**solves)
+        if facts["rounds"] is not None and self.refinement is not None:
+            self.refinement.restore(saved.part("refine"), facts["rounds"])
+            self._refining = True
+
+    def _warn(self, message: str) -> None:
+        self.warnings.append(message)
+        o, r = self.optimiser, self.refinement
+        if r is not None and self._refining:
+            self.tell(Progress("refine", r.done, r.config.iterations, message=message))
+        else:
+            self.tell(Progress("optimise", o.done, o.iterations, message=message))
+
+
+def _finite(state: dict[str, wp.array]) -> bool:
+    """Whether all positions and directions in a state are finite; rotations follow from them."""
+    flag = wp.zeros(1, dtype=wp.int32, device=state["vertices"].device)
+    for array in state.values():
+        if array.dtype is wp.vec3:
+            flag_not_finite(array, flag)
+    return not flag.numpy()[0]

@@ -1,0 +1,229 @@
+"""Memory that a run needs, estimated before it begins, and memory that there is.
+
+    estimate = estimate_memory(points=[5000] * 17, vertices=10_000, config=Config())
+    estimate.total                      # bytes
+
+T frames, S = T - 1 steps, N points in all, V vertices, M nodes a step, L levels.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import warp as wp
+
+from warpdef.config import Config
+from warpdef.errors import DeviceError, InputError
+
+GIB = 2**30
+_PROCESS = 300 * 2**20  # interpreter, Warp's compiler, loaded kernels, libraries
+_CELLS_MAX = 2**18  # of a search grid, a frame
+_TEMPLATE_POINT = 4_000  # bytes a keyframe point takes in screened Poisson and remeshing, measured
+
+
+@dataclass(frozen=True)
+class MemoryEstimate:
+    """Bytes at the peak of a run, by what they grow with.
+
+    process: the program itself          clouds: input and normals, float64, never on a device
+    points: of all frames, with searches grids: parameters and their state
+    vertices: of all frames, both stages template: while it is being built, on the keyframe
+    """
+
+    process: int
+    clouds: int
+    points: int
+    grids: int
+    vertices: int
+    template: int
+
+    @property
+    def device(self) -> int:
+        """What lies on the device; on the CPU in the same memory as the rest."""
+        return self.points + self.grids + self.vertices
+
+    @property
+    def total(self) -> int:
+        """Peak of the process on the CPU: the template's memory is free again before the fit takes its own."""
+        return self.process + self.clouds + max(self.device, self.template)
+
+
+def estimate_memory(points: Sequence[int], vertices: int, config: Config, cuda: bool = False) -> MemoryEstimate:
+    """What a run on clouds of these sizes takes at its peak.
+
+    Args:
+        points: points of each frame. vertices: of the template; see ``vertices_most``.
+        config: the whole configuration; levels, pruning, solver and whether there is a vertex stage matter here.
+        cuda: whether it runs on such a device.
+    """
+    frames, total, largest = len(points), sum(points), max(points)
+    steps = frames - 1
+    nodes = sum((2 * level - 1) ** 3 for level in range(config.grid.coarsest, config.grid.levels + 1))
+    direct = config.sobolev.solver == "cosine" or (config.sobolev.solver == "auto" and not config.grid.prune)
+    # A node is 8 float32: parameters, gradients, moments (6), what is kept to go back to (4), and the solvers: scratch
+    # of the transforms (2, on CUDA), or conjugate gradients (8, kept 2) with 6 neighbours a node.
+    a_node = 32 * (6 + 4 + (2 if cuda else 0)) if direct else 32 * (6 + 4 + 8 + 2) + 2 * 4 * 9
+    # A vertex of a frame: positions, chain, Jacobian and six-vector (92), gradients, searches and paths (170); the
+    # vertex stage adds matrices, rotations and conjugate gradients of 3x3 blocks (260).
+    a_vertex = 92 + 170 + (260 if config.refine.iterations else 0)
+    search_cells = 2 * min(8 * largest, _CELLS_MAX) + min(8 * vertices, _CELLS_MAX)
+    return MemoryEstimate(
+        process=_PROCESS,
+        # Points and normals as read, in the cube, and laid out behind each other: 3 float64 each.
+        clouds=24 * 9 * total,
+        # Where they are and where they were moved to, normals, gradients, and four searches.
+        points=200 * total + 4 * frames * search_cells,
+        grids=a_node * nodes * steps,
+        vertices=a_vertex * vertices * frames,
+        template=_TEMPLATE_POINT * largest,
+    )
+
+
+def vertices_most(points: Sequence[int], config: Config) -> int:
+    """The most vertices that a template built here can have: half of its faces."""
+    return int(min(config.template.faces_max, config.template.faces_per_point * max(points))) // 2 + 2
+
+
+def available_memory() -> int | None:
+    """Bytes this process can still take: what the system has free, or what is left below a container's limit.
+
+    None where the system does not tell.
+    """
+    found = [read() for read in (_system_free, _group_left)]
+    return min((f for f in found if f is not None), default=None)
+
+
+def _system_free() -> int | None:
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    except (OSError, ValueError, IndexError):
+        pass
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return None
+
+
+def _group_left(root: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> int | None:
+    """What is left of the control groups' limits, version 2 or 1; page cache counts as free, as it can be dropped."""
+    left = []
+    for folder, limit, used, cache in _groups(root, own):
+        try:
+            most, now = int((folder / limit).read_text()), int((folder / used).read_text())
+            stat = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+        except (OSError, ValueError):  # no such file, or "max"
+            continue
+        if most < 2**60:  # version 1 writes an absurd number where there is no limit
+            left.append(max(most - now + int(stat.get(cache, 0)), 0))
+    return min(left, default=None)
+
+
+def _groups(root: Path, own: Path) -> Iterator[tuple[Path, str, str, str]]:
+    """Folders of this process's control groups, innermost first, and the files to read there."""
+    try:
+        lines = [line.split(":", 2) for line in own.read_text().splitlines()]
+    except OSError:
+        lines = []
+    for parts in lines:
+        if len(parts) != 3 or parts[1] not in ("", "memory"):
+            continue
+        base, names = (root, ("memory.max", "memory.current", "inactive_file"))
+        if parts[1]:
+            base = root / "memory"
+            names = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
+        folder = base / parts[2].strip().lstrip("/")
+        # A container sees its own group as the root, whatever the path says.
+        for place in dict.fromkeys([folder, *folder.parents, base]):
+            if place == base or base in place.parents:
+                yield place, *names
+
+
+def require_memory(
+    points: Sequence[int], vertices: int | None, config: Config, device: wp.Device, limit: float | None = None
+) -> MemoryEstimate:
+    """Refuse a run that cannot fit, before it begins.
+
+    Args:
+        points: points of each frame. vertices: of a template that is there already; None: one will be built.
+        limit: GiB that the run may take; None: what is free; 0: whatever it takes.
+
+    Raises:
+        InputError: the estimate is above that; it says by how much, and what would fit.
+    """
+    vertices = vertices or vertices_most(points, config)
+    estimate = estimate_memory(points, vertices, config, device.is_cuda)
+    if limit == 0:
+        return estimate
+
+    def needed(points: Sequence[int], config: Config) -> MemoryEstimate:
+        most = min(vertices, vertices_most(points, config))
+        return estimate_memory(points, most, config, device.is_cuda)
+
+    def check(what: str, there: float | None, size: Callable[[MemoryEstimate], int]) -> None:
+        if there is None or size(estimate) <= there:
+            return
+        fits = _what_fits(points, config, lambda *smaller: size(needed(*smaller)) <= there)
+        raise InputError(
+            f"the run needs about {size(estimate) / GIB:.2g} GiB of {what}, expected at most {there / GIB:.2g}; "
+            f"{fits}; --memory-limit 0 tries all the same"
+        )
+
+    check("memory", available_memory() if limit is None else limit * GIB, lambda e: e.total)
+    if device.is_cuda:
+        check(f"memory of {device.name}", device.free_memory, lambda e: e.device)
+    return estimate
+
+
+def _what_fits(points: Sequence[int], config: Config, fits: Callable[[Sequence[int], Config], bool]) -> str:
+    """The mildest of each kind of cut that is enough."""
+
+    def fewer_levels(levels: int) -> Config:
+        return replace(config, grid=replace(config.grid, levels=levels))
+
+    cuts = [max(points) // 2**k for k in range(1, 20)]
+    kinds = [
+        next((f"--points {n}" for n in cuts if n >= 500 and fits([min(n, m) for m in points], config)), ""),
+        next((f"--frames ::{k}" for k in range(2, len(points) // 2) if fits(points[::k], config)), ""),
+        next(
+            (
+                f"--grid.levels {n}"
+                for n in range(config.grid.levels - 1, max(4, config.grid.coarsest - 1), -1)
+                if fits(points, fewer_levels(n))
+            ),
+            "",
+        ),
+    ]
+    found = [kind for kind in kinds if kind]
+    return f"{' or '.join(found)} would fit" if found else "take fewer frames and points"
+
+
+@contextmanager
+def explained_shortage(estimate: MemoryEstimate, device: wp.Device) -> Iterator[None]:
+    """Turn running out of memory inside the block into a sentence that names the flags that help.
+
+    Raises:
+        DeviceError: memory ran out.
+    """
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and not _is_shortage(error):
+            raise
+        place = f"{device.name} ({device.alias})" if device.is_cuda else "this machine"
+        size = estimate.device if device.is_cuda else estimate.total
+        other = ", or --device cpu" if device.is_cuda else ""
+        raise DeviceError(
+            f"out of memory on {place}: the run needs about {size / GIB:.1f} GiB. Lower --points, "
+            f"--template.faces-max or --grid.levels, or take fewer --frames{other}"
+        ) from error
+
+
+def _is_shortage(error: RuntimeError) -> bool:
+    text = str(error).lower()
+    return "failed to allocate" in text or "out of memory" in text
