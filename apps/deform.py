@@ -42,8 +42,8 @@ def deform(
 ) -> int:
     """Move other geometry as a result moves: a denser or textured mesh, a point set, landmarks.
 
-    GEOMETRY stands as the result's mesh does at its keyframe, in the input's units. Faces, colours, texture coordinates
-    and normals of its own come along. Meshes go to every format of `warpdef export`; points to .npz, or to a folder of
+    GEOMETRY stands as the result's mesh does at its keyframe, in the input's units. Faces, colours, texture and
+    normals of its own come along. Meshes go to every format of `warpdef export`; points to .npz, or to a folder of
     .ply.
 
     Args:
@@ -74,6 +74,8 @@ def deform(
         run = load_run(output)
         times = pace(select_frames(range(len(run.meshes)), chosen, 1, run.path), fps, slow, recorded_fps)
         given = read_geometry(geometry)
+        for note in given.notes:
+            say(f"warpdef: warning: {note}")
         format_of(file, format, points=given.faces is None)
         moved = run.follow(given.points)
         how = {"names": frame_names(run.names, times), "fps": fps, "up": up, "metres_per_unit": metres_per_unit}
@@ -94,7 +96,7 @@ def _animate(given: Surface, moved: Deformed, times: np.ndarray, how: dict[str, 
     points, normals = moved.at(times), None if given.normals is None else moved.turned(given.normals, times)
     if given.faces is None:
         return MovingPoints(points, how["names"], how["fps"], normals, given.colors)
-    look = Appearance(given.colors, given.uv, given.corner_uv)
+    look = Appearance(given.colors, given.uv, given.corner_uv, given.texture)
     return dress(points, given.faces, look, normals, **how)
 
 

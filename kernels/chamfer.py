@@ -8,6 +8,10 @@ A moving set (template vertices, moved clouds) meets a fixed cloud. With r = mov
 tau = 1 is the plain squared distance of the paper. tau < 1 damps the part of a residual along the surface, which says
 where the fixed cloud happens to be sampled rather than where the surface is. Not differentiated: which neighbour is
 nearest (piecewise constant), and w.
+
+One-sided: where the other set shows only part of the surface, a point of the hidden part has a nearest one all the
+same. What tells is the way back: that one's own nearest point is far from where the question came from. A pair then
+counts by a further weight exp(-(b / reach)^4), b the distance between the point and its partner's partner.
 """
 
 from __future__ import annotations
@@ -26,6 +30,13 @@ def robust_weight(r_sq: float, alpha: float, power: int) -> float:
     if power == 4:
         x = r_sq * r_sq
     return wp.exp(-alpha * x)
+
+
+@wp.func
+def mutual_weight(asked: wp.vec3, answered: wp.vec3, reach: float) -> float:
+    """1 for partners that choose each other, 1/e at ``reach`` apart; exactly 1 for an infinite reach."""
+    x = wp.length_sq(answered - asked) / (reach * reach)
+    return wp.exp(-x * x)
 
 
 @wp.func
@@ -53,6 +64,8 @@ def _moving_to_fixed(
     alpha: float,
     power: int,
     tangential: float,
+    back: wp.array(dtype=wp.int32),
+    mutual_reach: wp.array(dtype=wp.float32),
     # Out, added to:
     loss_out: wp.array(dtype=wp.float64),
     # Out:
@@ -66,6 +79,8 @@ def _moving_to_fixed(
         s = slot[i]
         r = moving[i] - fixed[j]
         w = robust_weight(wp.length_sq(r), alpha, power) * share[s]
+        if back.shape[0] > 0 and back[j] >= 0:
+            w *= mutual_weight(moving[i], moving[back[j]], mutual_reach[s])
         wp.atomic_add(loss_out, s, wp.float64(w * residual_energy(r, normals[j], tangential)))
         adj = adj_residual_energy(r, normals[j], tangential, w * weight[s])
     adj_moving_out[i] = adj
@@ -85,6 +100,8 @@ def _fixed_to_moving(
     alpha: float,
     power: int,
     tangential: float,
+    back: wp.array(dtype=wp.int32),
+    mutual_reach: wp.array(dtype=wp.float32),
     # Out, added to:
     loss_out: wp.array(dtype=wp.float64),
     adj_moving_out: wp.array(dtype=wp.vec3),
@@ -96,12 +113,29 @@ def _fixed_to_moving(
         s = slot[i]
         r = moving[j] - fixed[i]
         w = robust_weight(wp.length_sq(r), alpha, power) * share[s]
+        if back.shape[0] > 0 and back[j] >= 0:
+            w *= mutual_weight(fixed[i], fixed[back[j]], mutual_reach[s])
         wp.atomic_add(loss_out, s, wp.float64(w * residual_energy(r, normals[i], tangential)))
         wp.atomic_add(adj_moving_out, j, adj_residual_energy(r, normals[i], tangential, w * weight[s]))
 
 
+BOTH_SIDES = (None, None)  # every pair counts
+
+
 def moving_to_fixed(
-    begin, count, moving, slot, nearest, fixed, normals, share, weight, robust, loss_out, adj_moving_out
+    begin,
+    count,
+    moving,
+    slot,
+    nearest,
+    fixed,
+    normals,
+    share,
+    weight,
+    robust,
+    loss_out,
+    adj_moving_out,
+    one_sided=BOTH_SIDES,
 ):
     """First half of CD_R, from every moving point to its nearest fixed one.
 
@@ -113,17 +147,31 @@ def moving_to_fixed(
         weight: shape (slots,) float32, weight of the slot in the objective; in the gradient, not in the loss.
         robust: (alpha, power, tangential).
         loss_out: shape (slots,) float64, added to.
+        one_sided: (back, reach): nearest moving point of every fixed one, shape (B,) int32, -1 for none; and shape
+            (slots,) float32, cube units, infinite where every pair counts.
     """
-    inputs = [begin, moving, slot, nearest, fixed, normals, share, weight, *robust, loss_out, adj_moving_out]
-    launch(_moving_to_fixed, count, inputs, moving.device)
+    inputs = [begin, moving, slot, nearest, fixed, normals, share, weight, *robust, *one_sided]
+    launch(_moving_to_fixed, count, [*inputs, loss_out, adj_moving_out], moving.device)
 
 
 def fixed_to_moving(
-    begin, count, fixed, normals, slot, nearest, moving, share, weight, robust, loss_out, adj_moving_out
+    begin,
+    count,
+    fixed,
+    normals,
+    slot,
+    nearest,
+    moving,
+    share,
+    weight,
+    robust,
+    loss_out,
+    adj_moving_out,
+    one_sided=BOTH_SIDES,
 ):
     """Second half of CD_R, from every fixed point to its nearest moving one; adds to ``adj_moving_out``.
 
-    Shapes as in ``moving_to_fixed``, with slot and nearest of shape (B,).
+    Shapes as in ``moving_to_fixed``, with slot and nearest of shape (B,) and the way back of shape (A,).
     """
-    inputs = [begin, fixed, normals, slot, nearest, moving, share, weight, *robust, loss_out, adj_moving_out]
-    launch(_fixed_to_moving, count, inputs, fixed.device)
+    inputs = [begin, fixed, normals, slot, nearest, moving, share, weight, *robust, *one_sided]
+    launch(_fixed_to_moving, count, [*inputs, loss_out, adj_moving_out], fixed.device)

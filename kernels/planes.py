@@ -8,13 +8,15 @@ which for s = 1 vanishes to second order on a curved surface, where the plain n 
 0 for noisy clouds, whose normals say less than the mesh's. Pairs whose normals
 differ by more than ``agreement`` (a cosine) are left out: the other side of a thin limb is no partner. A vertex x + d
 that minimises the sum of w r^2 solves A d = b with A = sum w a a^T and b = -sum w r a; A and b are what the kernels add
-up, so b is minus half the gradient at d = 0, with a, w and the pairs held.
+up, so b is minus half the gradient at d = 0, with a, w and the pairs held. Against a cloud that shows only part of the
+surface the vertices' own pairs are weighed by the way back, as in ``chamfer``.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
+from warpdef.kernels.chamfer import BOTH_SIDES, mutual_weight
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 
 wp.set_module_options(MODULE_OPTIONS)
@@ -70,6 +72,8 @@ def _vertex_planes(
     nearest: wp.array(dtype=wp.int32),
     cloud: wp.array(dtype=wp.vec3),
     cloud_normals: wp.array(dtype=wp.vec3),
+    back: wp.array(dtype=wp.int32),
+    mutual_reach: wp.array(dtype=wp.float32),
     # Out:
     matrix_out: wp.array(dtype=wp.mat33),
     pull_out: wp.array(dtype=wp.vec3),
@@ -83,6 +87,8 @@ def _vertex_planes(
         d = vertices[i] - cloud[j]
         a = pair_plane(cloud_normals[j], vertex_normals[i], agreement, share)
         w = pair_weight(d, reach[vertex_frame[i]])
+        if back.shape[0] > 0 and back[j] >= 0:
+            w *= mutual_weight(vertices[i], vertices[back[j]], mutual_reach[vertex_frame[i]])
         matrix = w * wp.outer(a, a)
         pull = (-w * wp.dot(a, d)) * a
     matrix_out[i] = matrix
@@ -127,16 +133,31 @@ def vertex_normals(begin, count, faces, face_row, face_of, vertices, normals_out
     launch(_vertex_normals, count, [begin, faces, face_row, face_of, vertices, normals_out], vertices.device)
 
 
-def vertex_planes(begin, count, pairing, vertices, normals, frame, nearest, cloud, cloud_normals, matrix_out, pull_out):
+def vertex_planes(
+    begin,
+    count,
+    pairing,
+    vertices,
+    normals,
+    frame,
+    nearest,
+    cloud,
+    cloud_normals,
+    matrix_out,
+    pull_out,
+    one_sided=BOTH_SIDES,
+):
     """Normal equations of vertex-to-cloud pairs, vertices ``begin .. begin + count`` of all frames.
 
     Args:
         pairing: (agreement, share of the cloud's normal, reach), reach of shape (T,) float32, cube units.
         vertices, normals: shape (T V,) vec3. frame, nearest: shape (T V,) int32, -1 for none.
         cloud, cloud_normals: shape (N,) vec3, oriented. matrix_out: shape (T V,) mat33. pull_out: shape (T V,) vec3.
+        one_sided: (back, reach): nearest vertex of every cloud point, shape (N,) int32, -1 for none; and shape (T,)
+            float32, cube units, infinite for frames that show all of the surface.
     """
-    inputs = [begin, *pairing, vertices, normals, frame, nearest, cloud, cloud_normals, matrix_out, pull_out]
-    launch(_vertex_planes, count, inputs, vertices.device)
+    inputs = [begin, *pairing, vertices, normals, frame, nearest, cloud, cloud_normals]
+    launch(_vertex_planes, count, [*inputs, *one_sided, matrix_out, pull_out], vertices.device)
 
 
 def cloud_planes(begin, count, pairing, vertices, normals, frame, nearest, cloud, cloud_normals, matrix_out, pull_out):

@@ -19,7 +19,10 @@ from warpdef.truth.metrics import METRICS
 TINY = Size(3, 200, 500, (2, 3), (2, 4), (1.0, 2.0), 4)
 TINY_CONFIG = with_values(
     Config(),
-    {"optimiser.iterations": 2, "optimiser.warmup": 1, "refine.iterations": 1, "template.attempts": 1},
+    {
+        **{"optimiser.iterations": 2, "optimiser.warmup": 1, "refine.iterations": 1, "refine.recover": False},
+        **{"template.attempts": 1, "template.depth": 5},
+    },
 )
 
 

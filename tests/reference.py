@@ -133,6 +133,11 @@ def robust_weight(r: np.ndarray, alpha: float, power: int) -> np.ndarray:
     return np.exp(-alpha * np.linalg.norm(r, axis=-1) ** power)
 
 
+def mutual_weight(asked: np.ndarray, answered: np.ndarray, reach: np.ndarray | float) -> np.ndarray:
+    """exp(-(b / reach)^4), b the distance from who asks to the partner of its partner."""
+    return np.exp(-((np.linalg.norm(answered - asked, axis=-1) / reach) ** 4))
+
+
 def residual_energy(r: np.ndarray, normals: np.ndarray, tangential: float) -> np.ndarray:
     """Squared length along the normal (unit; zero where unknown), and ``tangential`` times the square of the rest."""
     along = (r * normals).sum(axis=-1, keepdims=True) * normals
@@ -227,6 +232,8 @@ class Scene:
     """A sequence and the constants of its objective; frames and transitions as in the paper, T and S = T - 1.
 
     clouds, normals: T arrays (N_t, 3). edges: (E, 2). levels: resolutions. share_mean: Chamfer as a mean.
+    moved_reach, met_reach: (S,), of moved clouds' pairs and of the pairs of the clouds they meet; vertex_reach: (T,);
+    infinite where every pair counts, as it does without them.
     """
 
     clouds: list[np.ndarray]
@@ -242,10 +249,19 @@ class Scene:
     input_weight: float
     transform_weight: float
     isometry_weight: float
+    moved_reach: np.ndarray | None = None
+    met_reach: np.ndarray | None = None
+    vertex_reach: np.ndarray | None = None
 
     def ends(self, s: int) -> tuple[int, int]:
         """Source and target frame of transition s: away from the keyframe."""
         return (s, s + 1) if s >= self.keyframe else (s + 1, s)
+
+    def reach_of_moved(self, s: int) -> tuple[float, float]:
+        return (np.inf, np.inf) if self.moved_reach is None else (self.moved_reach[s], self.met_reach[s])
+
+    def reach_of_vertices(self, t: int) -> float:
+        return np.inf if self.vertex_reach is None else self.vertex_reach[t]
 
 
 @dataclass(frozen=True)
@@ -267,12 +283,14 @@ def chain(scene: Scene, nodes: np.ndarray, template: np.ndarray) -> np.ndarray:
     return vertices
 
 
-def chamfer(scene: Scene, moving, frame: int, pairs: Pairs, weights=None):
-    """Both halves of CD_R against a frame's cloud, and the robust weights, which ``weights`` freezes."""
+def chamfer(scene: Scene, moving, frame: int, pairs: Pairs, weights=None, reach=(np.inf, np.inf)):
+    """Both halves of CD_R against a frame's cloud, and the weights, robust and mutual, which ``weights`` freezes."""
     cloud, normals = scene.clouds[frame], scene.normals[frame]
     halves = [(moving - cloud[pairs.forth], normals[pairs.forth]), (moving[pairs.back] - cloud, normals)]
     if weights is None:
         weights = [robust_weight(r, scene.alpha, scene.power) for r, _ in halves]
+        weights[0] = weights[0] * mutual_weight(moving, moving[pairs.back[pairs.forth]], reach[0])
+        weights[1] = weights[1] * mutual_weight(cloud, cloud[pairs.forth[pairs.back]], reach[1])
     energies = [w * residual_energy(r, n, scene.tangential) for w, (r, n) in zip(weights, halves, strict=True)]
     return sum(e.mean() if scene.share_mean else e.sum() for e in energies), weights
 
@@ -295,9 +313,12 @@ def terms(scene: Scene, nodes, template, moved_pairs: list[Pairs], vertex_pairs:
     for s in range(steps):
         source, target = scene.ends(s)
         moving = move(nodes[s], scene.levels, scene.clouds[source])
-        moved.append(chamfer(scene, moving, target, moved_pairs[s], next(weights)))
+        moved.append(chamfer(scene, moving, target, moved_pairs[s], next(weights), scene.reach_of_moved(s)))
     vertices = chain(scene, nodes, template)
-    met = [chamfer(scene, vertices[t], t, vertex_pairs[t], next(weights)) for t in range(frames)]
+    met = [
+        chamfer(scene, vertices[t], t, vertex_pairs[t], next(weights), (scene.reach_of_vertices(t), np.inf))
+        for t in range(frames)
+    ]
     lengths = float(isometry(vertices, scene.edges).sum()) / (steps * len(scene.edges))
     return Terms(np.array([v for v, _ in moved]), np.array([v for v, _ in met]), lengths, [w for _, w in moved + met])
 

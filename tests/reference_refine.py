@@ -94,17 +94,49 @@ class Planes:
         return matrix, pull
 
 
-def planes(x, m, q, n, owner, reach, agreement: float, share: float = 1.0) -> Planes:
+def planes(x, m, q, n, owner, reach, agreement: float, share: float = 1.0, mutual=1.0) -> Planes:
     """Pairs of vertices x with normals m and cloud points q with normals n, all (P, 3). reach: a number or (P,).
 
-    share: how much n counts in the common normal.
+    share: how much n counts in the common normal. mutual: a further weight of each pair, (P,).
     """
     kept = (n * m).sum(axis=1) > agreement
     a = np.where(kept[:, None], share * n + m, 0.0)
     length = np.linalg.norm(a, axis=1, keepdims=True)
     a = np.divide(a, length, out=np.zeros_like(a), where=length > 0)
-    w = np.exp(-((np.linalg.norm(x - q, axis=1) / reach) ** 2))
+    w = mutual * np.exp(-((np.linalg.norm(x - q, axis=1) / reach) ** 2))
     return Planes(np.asarray(owner), a, w, (a * (x - q)).sum(axis=1))
+
+
+# Borders, and what is not seen.
+
+
+def outward(before: np.ndarray, x: np.ndarray, after: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    """Part of x - inner across after - before, unit, by projection; all (P, 3)."""
+    out = np.zeros(x.shape)
+    for k in range(len(x)):
+        line = (after[k] - before[k])[:, None]
+        across = (np.eye(3) - line @ np.linalg.pinv(line)) @ (x[k] - inner[k])
+        length = np.linalg.norm(across)
+        out[k] = across / length if length > 0 else 0.0
+    return out
+
+
+def border_planes(pairs: Planes, b: np.ndarray, offset: np.ndarray, stiffness: float, gap=None) -> Planes:
+    """Residuals across the border for pairs of ``planes``; b: (P, 3), zero off the border. offset: x - q, (P, 3).
+
+    gap: (P,) for vertices' own pairs; None for points, which count where they lie outside.
+    """
+    along = (b * offset).sum(axis=1)
+    counts = (pairs.a != 0).any(axis=1) & (b != 0).any(axis=1)
+    if gap is None:
+        gap, counts = 0.0, counts & (along < 0)
+    return Planes(pairs.owner, np.where(counts[:, None], b, 0.0), stiffness * pairs.w, along - gap)
+
+
+def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Rotation by Rodrigues' formula."""
+    k = reference.cross_matrix(np.asarray(axis, float) / np.linalg.norm(axis))
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
 
 
 # The stage.

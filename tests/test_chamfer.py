@@ -29,6 +29,8 @@ class Meeting:
         self.forth[[3, 30]] = self.back[[0, 54]] = -1
         self.share, self.weight = np.array([1.0, 0.25, 2.0]), np.array([0.5, 3.0, 0.0625])
 
+        self.reach: np.ndarray | None = None  # of every slot, where pairs count by the way back
+
     def run(self, power: int, tangential: float, alpha: float = ALPHA) -> tuple[np.ndarray, np.ndarray]:
         """Losses of the slots (3,) and the gradient (40, 3); what stood in them before is 7 and 9."""
         d = self.device
@@ -43,10 +45,14 @@ class Meeting:
         loss = wp.full(3, 7.0, dtype=wp.float64, device=d)
         adj = wp.full(40, wp.vec3(9.0, 9.0, 9.0), dtype=wp.vec3, device=d)
         results = (share, weight, (alpha, power, tangential), loss, adj)
+        sides = [(), ()]
+        if self.reach is not None:
+            reach = wp.array(self.reach.astype(np.float32), dtype=wp.float32, device=d)
+            sides = [((back, reach),), ((forth, reach),)]
         for begin, count in ((0, 15), (15, 25)):
-            moving_to_fixed(begin, count, moving, moving_slot, forth, fixed, normals, *results)
+            moving_to_fixed(begin, count, moving, moving_slot, forth, fixed, normals, *results, *sides[0])
         for begin, count in ((0, 30), (30, 25)):
-            fixed_to_moving(begin, count, fixed, normals, fixed_slot, back, moving, *results)
+            fixed_to_moving(begin, count, fixed, normals, fixed_slot, back, moving, *results, *sides[1])
         return loss.numpy() - 7.0, adj.numpy()
 
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -64,16 +70,32 @@ class Meeting:
         return np.bincount(slot, energy, minlength=3)
 
     def robust(self, power: int) -> np.ndarray:
-        i, j, _ = self.pairs()
-        return reference.robust_weight(self.moving[i] - self.fixed[j], ALPHA, power)
+        i, j, slot = self.pairs()
+        robust = reference.robust_weight(self.moving[i] - self.fixed[j], ALPHA, power)
+        if self.reach is None:
+            return robust
+        # The way back: from the moving points of the first pairs, from the fixed points of the others.
+        first = int((self.forth >= 0).sum())
+        asked = np.concatenate([self.moving[i[:first]], self.fixed[j[first:]]])
+        partner = np.concatenate([self.back[j[:first]], self.forth[i[first:]]])
+        answered = np.concatenate([self.moving[partner[:first]], self.fixed[partner[first:]]])
+        mutual = reference.mutual_weight(asked, answered, self.reach[slot])
+        return robust * np.where(partner >= 0, mutual, 1.0)
 
 
 CASES = [(power, tangential) for power in (2, 4) for tangential in (0.0, 0.1, 1.0)]
 
 
+ONE_SIDED = [None, np.array([0.7, np.inf, 1.2])]
+
+
+@pytest.mark.parametrize("reach", ONE_SIDED, ids=["all pairs", "one-sided"])
 @pytest.mark.parametrize(("power", "tangential"), CASES)
-def test_loss_and_gradient_match_the_twin(power: int, tangential: float, device: str, rng: np.random.Generator) -> None:
+def test_loss_and_gradient_match_the_twin(
+    power: int, tangential: float, reach: np.ndarray | None, device: str, rng: np.random.Generator
+) -> None:
     meeting = Meeting(device, rng)
+    meeting.reach = reach
     loss, adj = meeting.run(power, tangential)
     np.testing.assert_allclose(loss, meeting.twin(meeting.moving, power, tangential), rtol=1e-5)
     i, j, slot = meeting.pairs()
@@ -84,10 +106,14 @@ def test_loss_and_gradient_match_the_twin(power: int, tangential: float, device:
     assert_gradients_close(adj, expected)
 
 
+@pytest.mark.parametrize("reach", ONE_SIDED, ids=["all pairs", "one-sided"])
 @pytest.mark.parametrize(("power", "tangential"), CASES)
-def test_gradient_matches_differences(power: int, tangential: float, device: str, rng: np.random.Generator) -> None:
-    """The robust weight is a constant to the gradient: frozen in the differences."""
+def test_gradient_matches_differences(
+    power: int, tangential: float, reach: np.ndarray | None, device: str, rng: np.random.Generator
+) -> None:
+    """Weights, robust and mutual, are constants to the gradient: frozen in the differences."""
     meeting = Meeting(device, rng)
+    meeting.reach = reach
     robust = meeting.robust(power)
 
     def weighted(moving: np.ndarray) -> float:
@@ -96,9 +122,13 @@ def test_gradient_matches_differences(power: int, tangential: float, device: str
     assert_gradients_close(meeting.run(power, tangential)[1], finite_differences(weighted, meeting.moving))
 
 
+@pytest.mark.parametrize("reach", ONE_SIDED, ids=["all pairs", "one-sided"])
 @pytest.mark.parametrize(("power", "tangential"), CASES)
-def test_gradient_matches_autodiff(power: int, tangential: float, device: str, rng: np.random.Generator) -> None:
+def test_gradient_matches_autodiff(
+    power: int, tangential: float, reach: np.ndarray | None, device: str, rng: np.random.Generator
+) -> None:
     meeting = Meeting(device, rng)
+    meeting.reach = reach
     i, j, slot = meeting.pairs()
     factor = meeting.share[slot] * meeting.weight[slot] * meeting.robust(power)
     moving = witness.variable(meeting.moving, wp.vec3, device)
@@ -141,6 +171,31 @@ def test_weight_enters_the_gradient_and_not_the_loss(device: str, rng: np.random
     both_loss, both_adj = meeting.run(2, 0.1)
     np.testing.assert_allclose(both_loss, 2 * loss, rtol=1e-6)
     np.testing.assert_allclose(both_adj, 4 * adj, rtol=1e-5, atol=1e-6)
+
+
+def test_an_infinite_reach_is_every_pair_to_the_bit(device: str, rng: np.random.Generator) -> None:
+    meeting = Meeting(device, rng)
+    loss, adj = meeting.run(2, 0.1)
+    meeting.reach = np.full(3, np.inf)
+    tolerance = 0 if device == "cpu" else 1e-6
+    for found, expected in zip(meeting.run(2, 0.1), (loss, adj), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=tolerance)
+
+
+def test_what_the_other_set_does_not_show_is_not_pulled_over(device: str, rng: np.random.Generator) -> None:
+    """A strip of moving points, of which the fixed ones know one half; those in the other half choose its rim."""
+    meeting = Meeting(device, rng)
+    meeting.moving = np.column_stack([np.linspace(-1, 1, 40), np.zeros((40, 2))])
+    meeting.fixed = np.column_stack([np.linspace(-1, 0, 55), np.zeros(55), np.full(55, 0.01)])
+    meeting.forth = reference.nearest(meeting.moving, meeting.fixed)
+    meeting.back = reference.nearest(meeting.fixed, meeting.moving)
+    meeting.moving_slot[:], meeting.fixed_slot[:] = 0, 0
+    unseen = meeting.moving[:, 0] > 0.3
+    assert np.abs(meeting.run(2, 1.0, alpha=0.0)[1][unseen, 0]).min() > 0.1
+    meeting.reach = np.full(3, 0.1)
+    _, adj = meeting.run(2, 1.0, alpha=0.0)
+    np.testing.assert_allclose(adj[unseen], 0, atol=1e-12)
+    assert (adj[meeting.moving[:, 0] < -0.1, 2] < -0.005).all()  # the other half is pulled as ever
 
 
 def test_without_normals_only_the_plain_distance_is_left(device: str, rng: np.random.Generator) -> None:

@@ -65,6 +65,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "optimiser.iterations_per_frame": FROM_ZERO,
     "optimiser.warmup": ([-1], [0, 100]),
     "optimiser.rate": POSITIVE,
+    "optimiser.rate_fall": ([-0.1, 1.1], [0, 1]),
     "optimiser.rate_growth": POSITIVE,
     "optimiser.template_rate": FROM_ZERO,
     "optimiser.decay": (["linear"], ["constant", "cosine"]),
@@ -159,6 +160,18 @@ def test_presets():
 def test_iterations_grow_with_frames():
     made = OptimiserConfig(iterations=100, iterations_per_frame=2.5)
     assert [made.total(t) for t in (2, 17, 18, 19, 37)] == [100, 100, 102, 105, 150]
+
+
+def test_rates_fall_with_frames():
+    made = OptimiserConfig(rate=0.08, rate_fall=0.5)
+    assert [made.for_length(t).rate for t in (2, 17, 68, 272)] == pytest.approx([0.08, 0.08, 0.04, 0.02])
+    assert made.for_length(17) == made
+    assert made.for_length(68).template_rate == made.template_rate
+    # The warm-up grows as the rates fall, to two thirds of the run.
+    made = OptimiserConfig(iterations=300, iterations_per_frame=0.0, warmup=50, rate_fall=0.5)
+    assert [made.for_length(t).warmup for t in (2, 17, 68, 272, 10000)] == [50, 50, 100, 200, 200]
+    assert OptimiserConfig(iterations=30, warmup=50).for_length(100).warmup == 50
+    assert preset("paper").optimiser.for_length(80).rate == preset("paper").optimiser.rate
 
 
 @pytest.mark.parametrize(

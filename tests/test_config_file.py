@@ -39,7 +39,7 @@ def candidates(kind, value, name: str) -> list:
     if kind is int:
         return [value + 1, value - 1, 10]
     if kind is float:
-        return [value * (1 + 2**-52), value / 3, 1 / 3]
+        return [value * (1 + 2**-52), value / 3, 1 / 3] if value else [1 / 3, 1.0]
     return ["C:\\tänze\t\"1\"\n'x' 😀 #"] if name == "mesh" else ["::2", "3"]
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import reference
+import reference_refine as twin_refine
 import synthetic
 import warp as wp
 import witness
@@ -33,9 +34,14 @@ LOSS = {
 
 
 class Toy:
-    """A turning ellipsoid in three frames of unequal clouds, evaluated once at random nodes."""
+    """A turning ellipsoid in three frames of unequal clouds, evaluated once at random nodes.
 
-    def __init__(self, device: str, keyframe: int = 1, levels: int = 2, warmup: bool = False, **loss) -> None:
+    partial: frames that are taken to show part of the surface.
+    """
+
+    def __init__(
+        self, device: str, keyframe: int = 1, levels: int = 2, warmup: bool = False, partial: tuple = (), **loss
+    ) -> None:
         rng = np.random.default_rng(5)
         moving = synthetic.turning_ellipsoid(3, 40, rng, subdivisions=1)
         sizes = [40, 23, 31]
@@ -44,6 +50,7 @@ class Toy:
         self.device, self.config, self.levels = device, config, reference.resolutions(1, levels)
         template = moving.vertices[keyframe] + 0.02 * rng.normal(size=moving.vertices[0].shape)
         self.problem = p = Problem(clouds, normals, template, moving.faces, keyframe, config, wp.get_device(device))
+        p.complete = ~np.isin(np.arange(3), partial)
         self.nodes = (rng.normal(size=(2, p.levels.node_count, 6)) * 0.08).astype(np.float32)
         self.template = p.template.astype(np.float32).astype(np.float64)
         self.evaluate(self.nodes, warmup)
@@ -84,8 +91,17 @@ class Toy:
     def scene(self) -> reference.Scene:
         p, loss = self.problem, self.config.loss
         split = p.cloud_first[1:-1]
+        clouds = np.split(p.cloud.numpy().astype(np.float64), split)
+        spacing = np.array([twin_refine.spacing(c) for c in clouds])
+        ends = p.template[p.edges.numpy()]
+        source, target = p.transitions.source, p.transitions.target
+        between = spacing[source] + spacing[target] + np.maximum(spacing[source], spacing[target])
+        vertex_reach = 2.0 * spacing + 0.5 * np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean()
         return reference.Scene(
-            clouds=np.split(p.cloud.numpy().astype(np.float64), split),
+            moved_reach=np.where(p.complete[target], np.inf, between),
+            met_reach=np.where(p.complete[source], np.inf, between),
+            vertex_reach=np.where(p.complete, np.inf, vertex_reach),
+            clouds=clouds,
             normals=np.split(p.normals.numpy().astype(np.float64), split),
             edges=p.edges.numpy(),
             levels=self.levels,
@@ -150,6 +166,32 @@ def test_losses_match_the_twin(loss: dict, device: str) -> None:
         np.testing.assert_allclose(toy.trust, by_formula, rtol=1e-4)
     else:
         np.testing.assert_array_equal(toy.trust, 1)
+
+
+@pytest.mark.parametrize("partial", [(0,), (0, 2), (1, 2), (0, 1, 2)])
+def test_pairs_of_partial_frames_count_by_the_way_back(partial: tuple, device: str, rng: np.random.Generator) -> None:
+    """Losses and gradient against the twin; what is weighed is less than what every pair would give."""
+    toy, full = Toy(device, partial=partial), Toy(device)
+    o, expected = toy.objective, toy.twin()
+    np.testing.assert_allclose(o.loss_input.numpy(), expected.input, rtol=1e-5)
+    np.testing.assert_allclose(o.loss_transform.numpy(), expected.transform, rtol=1e-5)
+    lower = o.loss_transform.numpy() < full.objective.loss_transform.numpy()
+    np.testing.assert_array_equal(np.flatnonzero(lower), partial)
+    total, directions = toy.twin_total(), rng.normal(size=(20, *toy.nodes.shape))
+    expected = [along(lambda n: total(n, toy.template), toy.nodes.astype(float), d, 1e-5) for d in directions]
+    slopes = np.einsum("dsmc,smc->d", directions, toy.adj_nodes)
+    assert_gradients_close(slopes, np.array(expected), elementwise=2e-4, relative=2e-4)
+
+
+def test_infinite_reach_changes_no_bit(device: str) -> None:
+    """A complete frame beside a partial one goes through the weights all the same."""
+    toy, full = Toy(device, partial=(2,)), Toy(device)
+    tolerance = 0 if device == "cpu" else 1e-6
+    for name in ("loss_transform", "loss_input"):
+        found, expected = (getattr(t.objective, name).numpy()[:1] for t in (toy, full))
+        np.testing.assert_allclose(found, expected, rtol=tolerance)
+    found, expected = (t.objective.adj_chamfer.numpy()[:2] for t in (toy, full))
+    np.testing.assert_allclose(found, expected, rtol=tolerance)
 
 
 @pytest.mark.parametrize("keyframe", [1, 0, 2])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import reference
 import reference_refine as twin
 import synthetic
 import warp as wp
@@ -88,6 +89,7 @@ class Scene:
         for index in self.index.values():
             index[::7] = -1
         self.reach = np.array([1.5, 4.0], np.float32)
+        self.mutual_reach: np.ndarray | None = None  # of each frame, where pairs count by the way back
 
     def run(self, way: str, start: float = 0.0, cuts=(0,), agreement: float = AGREEMENT, share: float = SHARE):
         """A (V, 3, 3) and b (V, 3) of all frames by the kernel, into arrays that hold ``start``."""
@@ -100,8 +102,11 @@ class Scene:
         mesh, cloud = ([put(a, wp.vec3, on) for a in pair] for pair in ((self.x, self.m), (self.q, self.n)))
         pairing = (agreement, share, put(self.reach, wp.float32, on))
         places = [put(a, wp.int32, on) for a in (frame, index)]
+        sides = []
+        if way == "met" and self.mutual_reach is not None:
+            sides = [(put(self.index["asked"], wp.int32, on), put(self.mutual_reach, wp.float32, on))]
         for begin, count in spans(cuts, len(frame)):
-            kernel(begin, count, pairing, *mesh, *places, *cloud, matrix, pull)
+            kernel(begin, count, pairing, *mesh, *places, *cloud, matrix, pull, *sides)
         return matrix.numpy(), pull.numpy()
 
     def planes(self, way: str, agreement: float = AGREEMENT) -> twin.Planes:
@@ -110,16 +115,28 @@ class Scene:
         other = self.index[way][paired]
         vertex, point = (paired, other) if way == "met" else (other, paired)
         x, m, q, n = (a.astype(np.float64) for a in (self.x[vertex], self.m[vertex], self.q[point], self.n[point]))
-        return twin.planes(x, m, q, n, vertex, self.reach[self.frame[way][paired]].astype(np.float64), agreement, SHARE)
+        reach = self.reach[self.frame[way][paired]].astype(np.float64)
+        mutual = self.mutual(vertex, point) if way == "met" else 1.0
+        return twin.planes(x, m, q, n, vertex, reach, agreement, SHARE, mutual)
+
+    def mutual(self, vertex: np.ndarray, point: np.ndarray) -> np.ndarray | float:
+        """Weights of vertices' own pairs by the way back."""
+        if self.mutual_reach is None:
+            return 1.0
+        answered = self.index["asked"][point]
+        x, reach = self.x.astype(np.float64), self.mutual_reach[self.frame["met"][vertex]]
+        return np.where(answered >= 0, reference.mutual_weight(x[vertex], x[answered], reach), 1.0)
 
 
 def _units(a: np.ndarray) -> np.ndarray:
     return (a / np.linalg.norm(a, axis=1, keepdims=True)).astype(np.float32)
 
 
-@pytest.fixture
-def scene(device: str, rng: np.random.Generator) -> Scene:
-    return Scene(device, rng)
+@pytest.fixture(params=[None, (2.0, 3.0), (np.inf, 1.5)], ids=["all pairs", "one-sided", "one frame one-sided"])
+def scene(device: str, rng: np.random.Generator, request: pytest.FixtureRequest) -> Scene:
+    scene = Scene(device, rng)
+    scene.mutual_reach = None if request.param is None else np.array(request.param, np.float32)
+    return scene
 
 
 @pytest.fixture(params=["met", "asked"])
@@ -197,7 +214,7 @@ class Pair:
         scene.device, scene.count = device, 1
         scene.x, scene.m, scene.q, scene.n = (np.array([a], np.float32) for a in (x, m, q, n))
         scene.frame = scene.index = {"met": np.array([0]), "asked": np.array([0])}
-        scene.reach = np.array([reach], np.float32)
+        scene.reach, scene.mutual_reach = np.array([reach], np.float32), None
 
     def run(self, agreement: float = AGREEMENT, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         ways = ("met", "asked")

@@ -91,6 +91,34 @@ def test_points_that_no_bending_reaches_are_reported(swing):
     np.testing.assert_array_equal(vertices, np.tile(truth[0], (3, 1, 1)))
 
 
+def test_what_was_found_helps_the_frames_behind_it(swing):
+    """All frames stand still: each is found from the one before it, though not the last from the first."""
+    _, faces = swing
+    frames = np.stack([body((k * -17 * DEGREE, k * -18 * DEGREE))[0] for k in range(4)])
+    clouds = [cloud_of(v, faces, seed) for seed, v in enumerate(frames)]
+    edges = unique_edges(faces)
+    still = np.tile(frames[0], (4, 1, 1))
+    assert recover(still, clouds, faces, edges, keyframe=0) == ([1, 2, 3], [])
+    error = np.linalg.norm(still - frames, axis=2).mean(axis=1)
+    assert error.max() < 0.05 * np.linalg.norm(frames[3] - frames[0], axis=1).max()
+    assert recover(still[[0, 0]], [clouds[0], clouds[3]], faces, edges, keyframe=0)[1] == [1]
+
+
+def test_a_frame_half_found_does_not_end_the_search(swing):
+    """A part of the second frame's points belongs to nothing; the third frame is found all the same."""
+    truth, faces = swing
+    clouds = [cloud_of(v, faces, seed) for seed, v in enumerate(truth[[0, 1, 1]])]
+    rng = np.random.default_rng(5)
+    foreign = [2.0, 0.0, 0.0] + 0.1 * rng.normal(size=(300, 3))
+    points, normals = (np.concatenate([a, b]) for a, b in ((clouds[1].points, foreign), (clouds[1].normals, foreign)))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    clouds[1] = Cloud(points, normals, True, True)
+    vertices = np.tile(truth[0], (3, 1, 1))
+    recovered, lost = recover(vertices, clouds, faces, unique_edges(faces), keyframe=0)
+    assert (recovered, lost) == ([1, 2], [1])
+    np.testing.assert_allclose(vertices[2], truth[1], atol=0.2)
+
+
 def test_every_object_counts_by_itself(swing):
     """Two objects are two components of the mesh; the smaller one is no lost limb."""
     truth, faces = swing

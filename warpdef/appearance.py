@@ -1,4 +1,4 @@
-"""What a mesh looks like, apart from its shape: colours and texture coordinates, which no motion changes."""
+"""What a mesh looks like, apart from its shape: colours and a texture, which no motion changes."""
 
 from __future__ import annotations
 
@@ -9,24 +9,29 @@ from typing import ClassVar
 import numpy as np
 
 from warpdef.errors import InputError
+from warpdef.texture import Texture
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """Colours and texture coordinates of a mesh of V vertices and F faces; each may be None.
+    """Colours and the texture of a mesh of V vertices and F faces; each may be None.
 
     colors:    red, green, blue and perhaps alpha, sRGB              (V, 3) or (V, 4) uint8
     uv:        texture coordinates of vertices, origin lower left    (V, 2) float32
     corner_uv: those of the faces' corners, where vertices of a seam (F, 3, 2) float32
                have several; instead of ``uv``
+    texture:   the image on it, where it has texture coordinates
+    notes:     why an image that the mesh names is missing, a line each
     """
 
     NAMES: ClassVar[tuple[str, ...]] = ("vertex_colors", "uv", "corner_uv")
-    """Names in an .npz."""
+    """Names of the arrays in an .npz."""
 
     colors: np.ndarray | None = None
     uv: np.ndarray | None = None
     corner_uv: np.ndarray | None = None
+    texture: Texture | None = None
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def checked(
@@ -36,11 +41,12 @@ class Appearance:
         colors: np.ndarray | None = None,
         uv: np.ndarray | None = None,
         corner_uv: np.ndarray | None = None,
+        texture: Texture | None = None,
     ) -> Appearance:
         """Take arrays that fit a mesh.
 
         Raises:
-            InputError: one has another shape or type, or is not finite.
+            InputError: one has another shape or type, or is not finite, or there is an image without coordinates.
         """
         if colors is not None:
             colors = np.asarray(colors)
@@ -52,7 +58,10 @@ class Appearance:
                 )
             colors = np.ascontiguousarray(colors)
         uv = _coordinates(uv, (vertex_count, 2), "one pair a vertex")
-        return cls(colors, uv, _coordinates(corner_uv, (face_count, 3, 2), "one pair a corner of a face"))
+        corner_uv = _coordinates(corner_uv, (face_count, 3, 2), "one pair a corner of a face")
+        if texture is not None and uv is None and corner_uv is None:
+            raise InputError("texture image: expected texture coordinates with it, got none; give uv or corner_uv")
+        return cls(colors, uv, corner_uv, texture)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What there is, by its names in an .npz."""

@@ -11,6 +11,11 @@ from typing import Literal
 
 from warpdef.errors import ConfigError
 
+BASE_FRAMES = 17
+"""Length of the paper's sequences, up to which iterations and rates are as configured."""
+WARMUP_SHARE = 2 / 3
+"""Of all iterations: at most so many are warm-up in a longer sequence."""
+
 
 def _require(ok: bool, key: str, expected: str, got: object) -> None:
     if not ok:
@@ -187,12 +192,14 @@ class OptimiserConfig:
 
     iterations: int = 300
     """Iterations for up to 17 frames."""
-    iterations_per_frame: float = 3.0
+    iterations_per_frame: float = 0.0
     """Further iterations for every frame beyond 17."""
     warmup: int = 50
-    """First iterations, in which only the input and mesh terms act."""
+    """First iterations, in which only the input and mesh terms act, for up to 17 frames."""
     rate: float = 2e-2
-    """Learning rate of level 1."""
+    """Learning rate of level 1, for up to 17 frames."""
+    rate_fall: float = 0.5
+    """Beyond 17 frames T rates are (17 / T)^rate_fall of that, and the warm-up as much longer: moves add up along T."""
     rate_growth: float = 1.1
     """Factor on the learning rate from a level to the next finer one."""
     template_rate: float = 1e-4
@@ -217,14 +224,21 @@ class OptimiserConfig:
         _require(self.warmup >= 0, "optimiser.warmup", "0 or more", self.warmup)
         for key in ("rate", "rate_growth", "epsilon"):
             _require(getattr(self, key) > 0, f"optimiser.{key}", "a number above 0", getattr(self, key))
+        _require(0 <= self.rate_fall <= 1, "optimiser.rate_fall", "0 to 1", self.rate_fall)
         _require(self.template_rate >= 0, "optimiser.template_rate", "a number from 0", self.template_rate)
         _require(self.decay in ("constant", "cosine"), "optimiser.decay", "constant or cosine", self.decay)
         for key in ("beta1", "beta2"):
             _require(0 <= getattr(self, key) < 1, f"optimiser.{key}", "from 0 to below 1", getattr(self, key))
 
+    def for_length(self, frame_count: int) -> OptimiserConfig:
+        """The same with the rate and the warm-up of a sequence of ``frame_count`` frames."""
+        fall = (BASE_FRAMES / max(frame_count, BASE_FRAMES)) ** self.rate_fall
+        longest = max(self.warmup, int(WARMUP_SHARE * self.total(frame_count)))
+        return replace(self, rate=self.rate * fall, warmup=min(round(self.warmup / fall), longest))
+
     def total(self, frame_count: int) -> int:
         """Iterations for a sequence of ``frame_count`` frames."""
-        return self.iterations + round(self.iterations_per_frame * max(0, frame_count - 17))
+        return self.iterations + round(self.iterations_per_frame * max(0, frame_count - BASE_FRAMES))
 
 
 @dataclass(frozen=True)
@@ -339,7 +353,13 @@ def preset(name: str) -> Config:
         template=replace(base.template, depth=10),
         refine=replace(base.refine, iterations=0),
         optimiser=replace(
-            base.optimiser, iterations=5000, iterations_per_frame=80.0, warmup=100, rate=5e-3, decay="constant"
+            base.optimiser,
+            iterations=5000,
+            iterations_per_frame=80.0,
+            warmup=100,
+            rate=5e-3,
+            rate_fall=0.0,
+            decay="constant",
         ),
     )
 

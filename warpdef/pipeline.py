@@ -23,6 +23,7 @@ from warpdef.errors import InputError
 from warpdef.files import read_mesh
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
+from warpdef.fit.outward import follow_outwards
 from warpdef.fit.problem import Problem
 from warpdef.fit.refine import Refinement
 from warpdef.fit.run import FitRun
@@ -117,7 +118,8 @@ def reconstruct(
             mesh = chosen.mesh
             given = [n is not None for n in sequence.normals]
             keyframe = sequence.numbers.index(chosen.keyframe)
-            problem = Problem(clouds, normals, mesh.vertices, mesh.faces, keyframe, config, target, given)
+            steady = replace(config, optimiser=config.optimiser.for_length(len(clouds)))
+            problem = Problem(clouds, normals, mesh.vertices, mesh.faces, keyframe, steady, target, given)
             optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
             optimiser.prepare()
             refinement = Refinement(optimiser.objective, team) if config.refine.iterations else None
@@ -134,7 +136,11 @@ def reconstruct(
             with clock.phase("optimise"):
                 run.descend()
             # Beyond the paper: every vertex of every frame on its own, and one shape for all frames.
+            followed: list[int] = []
             with clock.phase("refine"):
+                if refinement is not None and not refinement.done and config.refine.recover:
+                    # Where the chain has left the points: frame after frame from where it has not.
+                    followed = follow_outwards(optimiser.objective, refinement, team.size, run.limits.reason)
                 run.refine()
         vertices = optimiser.objective.placed_vertices()
         vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces)
@@ -148,6 +154,8 @@ def reconstruct(
     result.appearance = None if template is None else template.appearance
     result.report = _report(sequence, chosen, run, team.size, clock, estimate)
     result.report |= {"interrupted": interruption.asked, "resumed": resumed}
+    if refinement is not None:
+        result.report["refine"]["frames_followed"] = [sequence.numbers[t] for t in followed]
     return result
 
 
@@ -161,7 +169,9 @@ def _template(
     clouds = [into.to_cube(p) for p in sequence.all_frames()]
     if mine is None:
         return choose_template(clouds, sequence.all_normals(), config)
-    return accept_user_template(mine, clouds, config)
+    chosen = accept_user_template(mine, clouds, config)
+    notes = template.appearance.notes if template.appearance else ()
+    return replace(chosen, warnings=[*notes, *chosen.warnings])
 
 
 def _with_meshes(

@@ -34,9 +34,10 @@ def run_point(
     Returns:
         ``first_s``: process start to the end of the first iteration, in ``import_s``, ``build_s``, ``compile_s`` and
         ``step_s``; ``ms`` of the later full ones, and ``cpu_ms``, least processor time of one of them, all threads
-        together, which other programs on the machine disturb least (null if there are none; ``cpu_ms`` also on CUDA); ``arrays_mb``:
-        capacity of all arrays of the run; ``peak_mb``: most resident memory of the process; ``device_mb``: the same on
-        a CUDA device, else null; ``modules``: seconds to load a kernel module, by name, where they could be read.
+        together, which other programs on the machine disturb least (null if there are none; ``cpu_ms`` also on CUDA);
+        ``arrays_mb``: capacity of all arrays of the run; ``peak_mb``: most resident memory of the process;
+        ``device_mb``: the same on a CUDA device, else null; ``modules``: seconds to load a kernel module, by name,
+        where they could be read.
 
     Raises:
         WarpdefError: the process failed.

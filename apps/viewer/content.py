@@ -60,6 +60,8 @@ class Content:
     names: what the frames are called     T strings
     up:    the axis that points up        "y" or "z"
     unit:  what lengths are given in
+
+    Drawing is in float32: data far from its origin is to be brought near it first, as ``load_content`` does.
     """
 
     panes: list[Pane]
@@ -121,6 +123,7 @@ def load_content(
         InputError: something is missing or damaged, or numbers of frames do not fit.
     """
     from warpdef.config import parse_slice
+    from warpdef.export.origin import choose_origin
     from warpdef.files import read_clouds, read_mesh_frames, same_triangles
     from warpdef.files.frame_files import select_frames
     from warpdef.files.run_folder import load_run
@@ -128,23 +131,25 @@ def load_content(
     run = load_run(output)
     clouds, truth = clouds or _beside(output, INPUT_FILES), truth or _beside(output, TRUTH_FILES)
     chosen = select_frames(range(len(run.meshes)), frames, 1, run.path)
+    origin = choose_origin(run.meshes.vertices)
     points = true_meshes = None
     if clouds is not None:
         read = read_clouds(clouds, parse_slice(run.config.frames)).all_frames()
         _same_count(len(read), run, clouds, "choose the clouds that it was made from with --input")
-        points = [read[t] for t in chosen]
+        points = [read[t] - origin for t in chosen]
     if truth is not None:
         read_meshes = read_mesh_frames(truth, truth_frames)
         _same_count(
             len(read_meshes), run, truth, "pick the frames it was made from with --truth-frames start:stop:step"
         )
-        picked = [read_meshes[t] for t in chosen]
+        picked = [_shifted(read_meshes[t], origin) for t in chosen]
         true_meshes = same_triangles(picked) or picked
-    panes = [_run_pane(output, run, chosen, "reconstruction" if compare is None else str(output), points, true_meshes)]
+    beside = (chosen, origin, points, true_meshes)
+    panes = [_run_pane(output, run, "reconstruction" if compare is None else str(output), *beside)]
     if compare is not None:
         other = load_run(compare)
         _same_count(len(other.meshes), run, compare, "compare runs of the same frames")
-        panes.append(_run_pane(compare, other, chosen, str(compare), points, true_meshes))
+        panes.append(_run_pane(compare, other, str(compare), *beside))
     if side_by_side:
         if points is None and true_meshes is None and compare is None:
             raise InputError("--side-by-side: expected something to show beside; give --input, --truth or --compare")
@@ -166,15 +171,23 @@ def _same_count(count: int, run, path: Path, advice: str) -> None:
         raise InputError(f"{path}: expected the {len(run.meshes)} frames of {run.path}, got {count}; {advice}")
 
 
-def _run_pane(path: Path, run, chosen: list[int], title: str, points, truth) -> Pane:
+def _shifted(mesh: TriMesh, origin: np.ndarray) -> TriMesh:
+    from dataclasses import replace
+
+    return replace(mesh, vertices=mesh.vertices - origin) if origin.any() else mesh
+
+
+def _run_pane(path: Path, run, title: str, chosen: list[int], origin: np.ndarray, points, truth) -> Pane:
     import numpy as np
 
+    from warpdef.apps.viewer.texture import shown_colors
     from warpdef.mesh import MeshSequence
     from warpdef.truth.colouring import Colouring
 
-    colors = run.appearance.colors
-    meshes = MeshSequence(run.meshes.vertices[chosen], run.meshes.faces)
+    colors = shown_colors(run.appearance, run.meshes.faces, run.meshes.vertices.shape[1])
+    vertices = run.meshes.vertices[chosen]
+    meshes = MeshSequence(vertices - origin if origin.any() else vertices, run.meshes.faces)
     # The keyframe may not be among the frames shown; the nearest one takes its part.
     keyframe = int(np.abs(np.array(chosen) - run.keyframe).argmin())
     colouring = Colouring(meshes, keyframe, points, truth)
-    return Pane(title, meshes, points, None if colors is None else colors[:, :3], colouring, keyframe)
+    return Pane(title, meshes, points, colors, colouring, keyframe)

@@ -114,7 +114,7 @@ def _frames(sequence: TrueSequence) -> Iterator[TriMesh]:
 
     if sequence.kind in ("meshes", "dynosurf"):
         for file in frame_files(mesh_folder(sequence.path), MESH_SUFFIXES):
-            yield read_mesh(file)
+            yield read_mesh(file, image=False)
         return
     meshes = sequence.load()
     for frame in range(len(meshes)):

@@ -10,15 +10,17 @@ import importlib
 import os
 import re
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 
 from warpdef.errors import InputError
 from warpdef.export.animation import Animation
+from warpdef.export.image import image_name, is_image_of_export
 from warpdef.export.mesh_folders import OBJ_MARK
 from warpdef.export.points import MovingPoints
 from warpdef.files.disk import reason, sibling
+from warpdef.texture import Texture
 
 
 @dataclass(frozen=True)
@@ -29,26 +31,31 @@ class Format:
     what:      one line for people
     is_folder: the format's place is a folder of numbered files
     beside:    what is written next to the file, as a pattern over its stem; files end in a suffix, folders do not
+    image:     a texture's image is written next to the file, too
     """
 
     writer: str
     what: str
     is_folder: bool = False
     beside: tuple[str, ...] = ()
+    image: bool = False
 
-    def places(self, path: Path) -> list[Path]:
+    def places(self, path: Path, texture: Texture | None = None) -> list[Path]:
         """Everything that an export to ``path`` makes."""
-        return [path, *(path.with_name(pattern.format(path.stem)) for pattern in self.beside)]
+        names = [pattern.format(path.stem) for pattern in self.beside]
+        names += [image_name(texture, path)] if self.image and texture is not None else []
+        return [path, *(path.with_name(name) for name in names)]
 
 
-_USD = Format("usd:write_usd", "Universal Scene Description, time samples; needs the extra [usd]")
+_USDZ = Format("usd:write_usd", "Universal Scene Description, time samples; needs the extra [usd]")
+_USD = replace(_USDZ, image=True)
 
 FORMATS = {
     "glb": Format("gltf:write_glb", "binary glTF, a morph target a frame: web, Blender, game engines"),
     "usd": _USD,
     "usda": _USD,
     "usdc": _USD,
-    "usdz": _USD,
+    "usdz": _USDZ,
     "pc2": Format("point_cache:write_pc2", "point cache, with the base mesh as .obj", beside=("{}_pc2.obj",)),
     "mdd": Format("point_cache:write_mdd", "point cache, with the base mesh as .obj", beside=("{}_mdd.obj",)),
     "pvd": Format("paraview:write_pvd", "ParaView, with a folder of .vtp files", beside=("{}_vtp",)),
@@ -93,8 +100,11 @@ def format_of(path: Path | str, name: str = "", points: bool = False) -> Format:
     raise InputError(f"{path}: unknown suffix {got}; expected one of {known}{meant}")
 
 
-def check_place(path: Path | str, form: Format, overwrite: bool = False) -> None:
+def check_place(path: Path | str, form: Format, overwrite: bool = False, texture: Texture | None = None) -> None:
     """Check, before anything is read or computed, that an export to ``path`` would find its places free.
+
+    Args:
+        texture: the image to be written, as far as it is known.
 
     Raises:
         InputError: something stands there that may not be replaced, or there is no such folder.
@@ -102,7 +112,7 @@ def check_place(path: Path | str, form: Format, overwrite: bool = False) -> None
     path = Path(path)
     try:
         ground = "\0" not in str(path) and path.parent.is_dir()
-        for place in form.places(path) if path.name else []:
+        for place in form.places(path, texture) if path.name else []:
             _check_free(place, path, place == path and form.is_folder or not place.suffix, overwrite)
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
@@ -132,15 +142,16 @@ def export(
     """
     path = Path(path)
     form = format_of(path, format, isinstance(animation, MovingPoints))
-    check_place(path, form, overwrite)
+    texture = animation.texture if isinstance(animation, Animation) else None
+    check_place(path, form, overwrite, texture)
     module, function = form.writer.split(":")
     write = getattr(importlib.import_module(f"warpdef.export.{module}"), function)
     stage = sibling(path, "partial")
     try:
         stage.mkdir()
         write(animation, stage / path.name)
-        places = form.places(path)
-        check_place(path, form, overwrite)  # once more: the writing took its time
+        places = form.places(path, texture)
+        check_place(path, form, overwrite, texture)  # once more: the writing took its time
         for place in reversed(places):  # the file that people name comes last, when all else is there
             _move(stage / place.name, place)
         return places
@@ -151,8 +162,14 @@ def export(
 
 
 def _is_ours(base: Path) -> bool:
+    if is_image_of_export(base.name):
+        return True
     with open(base, "rb") as stream:
         return stream.read(len(OBJ_MARK)) == OBJ_MARK
+
+
+def _is_of_folder(name: str) -> bool:
+    return _NUMBERED.fullmatch(name) is not None or is_image_of_export(name)
 
 
 def _check_free(place: Path, path: Path, is_folder: bool, overwrite: bool) -> None:
@@ -166,7 +183,7 @@ def _check_free(place: Path, path: Path, is_folder: bool, overwrite: bool) -> No
         raise InputError(f"{place}: --overwrite replaces only base meshes of earlier exports; choose another place")
     if is_folder:
         foreign = "" if place.is_dir() and not place.is_symlink() else place.name
-        foreign = foreign or next((p.name for p in sorted(place.iterdir()) if not _NUMBERED.fullmatch(p.name)), "")
+        foreign = foreign or next((p.name for p in sorted(place.iterdir()) if not _is_of_folder(p.name)), "")
         if foreign:
             raise InputError(
                 f"{place}: --overwrite replaces only folders of numbered meshes, but found '{foreign}'; "

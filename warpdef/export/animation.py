@@ -10,10 +10,12 @@ import numpy as np
 
 from warpdef.appearance import Appearance, split_seams
 from warpdef.errors import InputError
+from warpdef.export.origin import choose_origin
 from warpdef.export.pace import frame_names, pace
 from warpdef.export.vertex_normals import vertex_normals
 from warpdef.files.frame_files import select_frames
 from warpdef.mesh import MeshSequence
+from warpdef.texture import Texture
 
 FPS = 24.0
 """Frames a second where nothing else is said."""
@@ -23,7 +25,7 @@ FPS = 24.0
 class Animation:
     """What is exported. Positions stay as they are: ``up`` and ``metres_per_unit`` only say how to read them.
 
-    meshes:          the moving mesh, input units                T frames, V vertices, F faces; made float32
+    meshes:          the moving mesh, input units                T frames, V vertices, F faces; float32, from origin
     names:           what the frames are called                  T strings
     fps:             frames a second
     up:              the axis that points up in the data         "y" or "z"
@@ -31,6 +33,9 @@ class Animation:
     colors:          red, green, blue and perhaps alpha, sRGB    (V, 3) or (V, 4) uint8, or None
     uv:              texture coordinates, origin lower left      (V, 2) float32, or None
     normals:         where they are not those of the faces       (T, V, 3) float32, or None
+    origin:          point that the mesh's positions count from  (3,) float64, input units; chosen if not given: 0, but
+                     far from 0, where float32 would lose the shape, a point near the mesh
+    texture:         the image on it, where it has uv, or None
     """
 
     meshes: MeshSequence
@@ -41,6 +46,8 @@ class Animation:
     colors: np.ndarray | None = None
     uv: np.ndarray | None = None
     normals: np.ndarray | None = None
+    origin: np.ndarray | None = None
+    texture: Texture | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.fps) and self.fps > 0.0):
@@ -49,8 +56,12 @@ class Animation:
             raise InputError(f"--metres-per-unit: expected a number above 0, got {self.metres_per_unit}")
         if self.up not in ("y", "z"):
             raise InputError(f"--up: expected y or z, got {self.up}")
+        given = self.meshes.vertices
+        if self.origin is None:
+            object.__setattr__(self, "origin", choose_origin(given))
+            given = given - self.origin if self.origin.any() else given
         with np.errstate(over="ignore"):
-            vertices = np.asarray(self.meshes.vertices, dtype=np.float32)
+            vertices = np.asarray(given, dtype=np.float32)
         if not np.isfinite(vertices).all():
             raise InputError("the moving mesh: expected coordinates that fit float32, got larger ones; scale it down")
         object.__setattr__(self, "meshes", MeshSequence(vertices, self.meshes.faces))
@@ -58,7 +69,7 @@ class Animation:
         if len(names) != len(vertices):
             raise InputError(f"frame names: expected {len(vertices)}, got {len(names)}")
         object.__setattr__(self, "names", names)
-        look = Appearance.checked(vertices.shape[1], len(self.meshes.faces), self.colors, self.uv)
+        look = Appearance.checked(vertices.shape[1], len(self.meshes.faces), self.colors, self.uv, texture=self.texture)
         object.__setattr__(self, "colors", look.colors)
         object.__setattr__(self, "uv", look.uv)
         if self.normals is not None:
@@ -72,8 +83,18 @@ class Animation:
 
     @property
     def vertices(self) -> np.ndarray:
-        """Positions, shape (T, V, 3) float32, input units."""
+        """Positions from ``origin``, shape (T, V, 3) float32, input units."""
         return self.meshes.vertices
+
+    @property
+    def is_far(self) -> bool:
+        """Whether positions count from another point than the data's own origin."""
+        return bool(self.origin.any())
+
+    @property
+    def places(self) -> np.ndarray:
+        """Positions from the data's own origin, shape (T, V, 3), input units: float64 if far from it, else float32."""
+        return self.vertices + self.origin if self.is_far else self.vertices
 
     @property
     def faces(self) -> np.ndarray:
@@ -108,7 +129,7 @@ def dress(
         source, faces, uv = split_seams(look.corner_uv, faces, vertices.shape[1])
         vertices = vertices[:, source]
         colors, normals = None if colors is None else colors[source], None if normals is None else normals[:, source]
-    return Animation(MeshSequence(vertices, faces), colors=colors, uv=uv, normals=normals, **how)
+    return Animation(MeshSequence(vertices, faces), colors=colors, uv=uv, normals=normals, texture=look.texture, **how)
 
 
 def load_animation(
@@ -121,7 +142,7 @@ def load_animation(
     slow: float = 1.0,
     recorded_fps: float | None = None,
 ) -> Animation:
-    """A run folder as an animation, with the colours and texture coordinates of its template where it has them.
+    """A run folder as an animation, with the colours and the texture of its template where it has them.
 
     Args:
         path: the run folder. frames: frames of it to use. fps, up, metres_per_unit: as the fields of ``Animation``.

@@ -11,11 +11,22 @@ from pathlib import Path
 
 import numpy as np
 
+from warpdef.errors import InputError
 from warpdef.export.animation import Animation
 
 
 def write_anime(animation: Animation, path: Path) -> None:
-    """Write the animation to ``path``."""
+    """Write the animation to ``path``.
+
+    Raises:
+        InputError: the mesh lies so far from the origin that the format's float32 would lose its shape.
+    """
+    if animation.is_far:
+        where = ", ".join(f"{x:g}" for x in animation.origin)
+        raise InputError(
+            f"{path.name}: expected a mesh near the origin, as .anime holds float32 alone, got one around ({where}); "
+            "export to .npz or .ply, which then hold float64, or shift the input"
+        )
     vertices = animation.vertices
     with open(path, "wb") as stream:
         stream.write(struct.pack("<iii", len(vertices), vertices.shape[1], len(animation.faces)))

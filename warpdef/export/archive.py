@@ -11,7 +11,7 @@ from warpdef.export.animation import Animation
 
 def write_npz_animation(animation: Animation, path: Path) -> None:
     """The arrays of a result, with what says how to read them; ``vertex_colors``, ``uv``, ``normals`` where given."""
-    arrays = {"vertices": animation.vertices, "faces": animation.faces, "fps": np.float64(animation.fps)}
+    arrays = {"vertices": animation.places, "faces": animation.faces, "fps": np.float64(animation.fps)}
     arrays |= {"names": np.array(animation.names, dtype=np.str_), "up": np.array(animation.up)}
     arrays["metres_per_unit"] = np.float64(animation.metres_per_unit)
     optional = {"vertex_colors": animation.colors, "uv": animation.uv, "normals": animation.normals}

@@ -1,7 +1,8 @@
 """A moving mesh as binary glTF 2.0 (.glb): one morph target a frame, played by an animation of their weights.
 
 The first frame is the base mesh; frame t is the base plus target t - 1 at weight 1. Positions are the data's own; the
-node carries the turn from z up to glTF's y up and the scale to glTF's metres.
+node carries the turn from z up to glTF's y up, the scale to glTF's metres and, for data far from its origin, the way
+there.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ import numpy as np
 from warpdef import __version__
 from warpdef.errors import InputError
 from warpdef.export.animation import Animation, linear_colors
+from warpdef.texture import Texture
 
 _FLOAT, _UINT, _USHORT = 5126, 5125, 5123
 _VERTICES, _INDICES = 34962, 34963
+_LINEAR, _MIPMAPPED, _REPEAT = 9729, 9987, 10497
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _GREY = [0.72, 0.74, 0.78, 1.0]
 
@@ -45,7 +48,9 @@ def write_glb(animation: Animation, path: Path) -> None:
         light = np.ones((vertices.shape[1], 4))
         light[:, : animation.colors.shape[1]] = linear_colors(animation.colors)
         # 16 bits hold every 8-bit sRGB value apart, and four components keep rows aligned.
-        attributes["COLOR_0"] = buffer.add(np.rint(light * 65535).astype(np.uint16), target=_VERTICES, normalized=True)
+        # Shown, they would darken the image: where there is one they are kept under a name of their own.
+        name = "COLOR_0" if animation.texture is None else "_COLOR_0"
+        attributes[name] = buffer.add(np.rint(light * 65535).astype(np.uint16), target=_VERTICES, normalized=True)
     primitive: dict[str, Any] = {
         "attributes": attributes,
         "indices": buffer.add(faces.reshape(-1).astype(np.uint32), target=_INDICES),
@@ -81,6 +86,11 @@ def write_glb(animation: Animation, path: Path) -> None:
         }
         channel = {"sampler": 0, "target": {"node": 0, "path": "weights"}}
         document["animations"] = [{"name": "motion", "samplers": [sampler], "channels": [channel]}]
+    if animation.texture is not None:
+        media = Texture.KINDS[animation.texture.kind]
+        document["images"] = [{"bufferView": buffer.add_bytes(animation.texture.data), "mimeType": media}]
+        document["samplers"] = [{"magFilter": _LINEAR, "minFilter": _MIPMAPPED, "wrapS": _REPEAT, "wrapT": _REPEAT}]
+        document["textures"] = [{"source": 0, "sampler": 0}]
     document["accessors"], document["bufferViews"] = buffer.accessors, buffer.views
     document["buffers"] = [{"byteLength": buffer.size}]
     _write(path, document, buffer)
@@ -92,12 +102,18 @@ def _node(animation: Animation) -> dict[str, Any]:
         node["rotation"] = [-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
     if animation.metres_per_unit != 1.0:
         node["scale"] = [animation.metres_per_unit] * 3
+    if animation.is_far:
+        # glTF scales and turns first.
+        x, y, z = (animation.metres_per_unit * animation.origin).tolist()
+        node["translation"] = [x, z, -y] if animation.up == "z" else [x, y, z]
     return node
 
 
 def _material(animation: Animation) -> dict[str, Any]:
     color = [1.0] * 4 if animation.colors is not None or animation.uv is not None else _GREY
-    surface = {"baseColorFactor": color, "metallicFactor": 0.0, "roughnessFactor": 0.7}
+    surface: dict[str, Any] = {"baseColorFactor": color, "metallicFactor": 0.0, "roughnessFactor": 0.7}
+    if animation.texture is not None:
+        surface["baseColorTexture"] = {"index": 0}
     return {"name": "surface", "pbrMetallicRoughness": surface, "doubleSided": True}
 
 
@@ -115,13 +131,12 @@ class _Buffer:
     ) -> int:
         """Append an array (N,) or (N, 2..4) and return the index of its accessor."""
         component = {"f": _FLOAT, "I": _UINT, "H": _USHORT}[array.dtype.char]
-        data = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes()
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": self.size, "byteLength": len(data)}
+        view = self.add_bytes(np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes())
         if target is not None:
-            view["target"] = target
+            self.views[view]["target"] = target
         columns = array.shape[1] if array.ndim == 2 else 1
         accessor = {
-            "bufferView": len(self.views),
+            "bufferView": view,
             "componentType": component,
             "count": len(array),
             "type": _KINDS[columns],
@@ -131,12 +146,16 @@ class _Buffer:
         if bounds:
             table = array.reshape(len(array), columns)
             accessor["min"], accessor["max"] = table.min(axis=0).tolist(), table.max(axis=0).tolist()
-        self.views.append(view)
         self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+    def add_bytes(self, data: bytes) -> int:
+        """Append what is no array and return the index of its view."""
+        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(data)})
         data += bytes(-len(data) % 4)
         self.chunks.append(data)
         self.size += len(data)
-        return len(self.accessors) - 1
+        return len(self.views) - 1
 
 
 def _write(path: Path, document: dict[str, Any], buffer: _Buffer) -> None:

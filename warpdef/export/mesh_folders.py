@@ -7,16 +7,25 @@ from pathlib import Path
 import numpy as np
 
 from warpdef.export.animation import Animation
+from warpdef.export.image import LIBRARY, MATERIAL, image_name, write_library
 
 OBJ_MARK = b"# warpdef\n"
 """First line of every OBJ of ours."""
 
 
 def write_ply_folder(animation: Animation, folder: Path) -> None:
-    """Make ``folder`` with a binary PLY a frame; colours are ``red green blue alpha``, texture coordinates ``s t``."""
+    """Make ``folder`` with a binary PLY a frame; colours are ``red green blue alpha``, texture coordinates ``s t``.
+
+    Positions are ``double`` where ``float`` would lose the shape, far from the origin. A texture's image lies in the
+    folder, named by a ``comment TextureFile``.
+    """
     faces = np.empty(len(animation.faces), dtype=[("length", "u1"), ("indices", "<i4", (3,))])
     faces["length"], faces["indices"] = 3, animation.faces
-    write_ply_frames(folder, animation.vertices, animation.normals, animation.colors, animation.uv, faces)
+    texture = animation.texture
+    comments = () if texture is None else (f"TextureFile {image_name(texture)}",)
+    write_ply_frames(folder, animation.places, animation.normals, animation.colors, animation.uv, faces, comments)
+    if texture is not None:
+        (folder / image_name(texture)).write_bytes(texture.data)
 
 
 def write_ply_frames(
@@ -26,15 +35,17 @@ def write_ply_frames(
     colors: np.ndarray | None,
     uv: np.ndarray | None = None,
     faces: np.ndarray | None = None,
+    comments: tuple[str, ...] = (),
 ) -> None:
     """Make ``folder`` with a binary PLY for each of T frames.
 
     Args:
-        points, normals: shape (T, N, 3). colors: shape (N, 3) or (N, 4) uint8. uv: shape (N, 2).
-        faces: rows of the face element as they stand in the file.
+        points: shape (T, N, 3), float32 or float64, and so in the file. normals: shape (T, N, 3).
+        colors: shape (N, 3) or (N, 4) uint8. uv: shape (N, 2).
+        faces: rows of the face element as they stand in the file. comments: lines of the header.
     """
     folder.mkdir()
-    fields = [(axis, "<f4") for axis in "xyz"]
+    fields = [(axis, "<f8" if points.dtype == np.float64 else "<f4") for axis in "xyz"]
     fields += [] if normals is None else [(f"n{axis}", "<f4") for axis in "xyz"]
     shades = () if colors is None else ("red", "green", "blue", "alpha")[: colors.shape[1]]
     fields += [(name, "u1") for name in shades]
@@ -44,8 +55,9 @@ def write_ply_frames(
         rows[name] = colors[:, column]
     if uv is not None:
         rows["s"], rows["t"] = uv.T
-    words = {"<f4": "float", "u1": "uchar"}
-    header = ["ply", "format binary_little_endian 1.0", "comment warpdef", f"element vertex {len(rows)}"]
+    words = {"<f4": "float", "<f8": "double", "u1": "uchar"}
+    header = ["ply", "format binary_little_endian 1.0", "comment warpdef", *(f"comment {line}" for line in comments)]
+    header.append(f"element vertex {len(rows)}")
     header += [f"property {words[kind]} {name}" for name, kind in fields]
     if faces is not None:
         header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
@@ -59,23 +71,35 @@ def write_ply_frames(
 
 
 def write_obj_folder(animation: Animation, folder: Path) -> None:
-    """Make ``folder`` with an OBJ a frame, as ``obj_text`` has it."""
+    """Make ``folder`` with an OBJ a frame, as ``obj_text`` has it, and the image and material file of a texture."""
     folder.mkdir()
     for frame in range(len(animation)):
         (folder / f"{frame:04d}.obj").write_bytes(obj_text(animation, frame))
+    if animation.texture is not None:
+        write_library(animation.texture, folder)
 
 
-def obj_text(animation: Animation, frame: int) -> bytes:
-    """One frame as OBJ: nine digits, which hold a float32 exactly; colours follow the position; ``vt`` for ``uv``,
-    ``vn`` for normals given."""
+def obj_text(animation: Animation, frame: int, local: bool = False) -> bytes:
+    """One frame as OBJ: nine digits, which hold a float32 exactly, or all of a float64's far from the origin; colours
+    follow the position; ``vt`` for ``uv``, ``vn`` for normals given.
+
+    Args:
+        local: positions count from the animation's origin, which a comment names, and no material is: for a mesh alone.
+    """
     # One format string for the whole table: many times faster than a line at a time.
-    columns = [animation.vertices[frame]]
-    line = "v %.9g %.9g %.9g"
+    positions = animation.vertices[frame]
+    columns = [positions if local or not animation.is_far else positions + animation.origin]
+    line = "v %.9g %.9g %.9g" if columns[0].dtype == np.float32 else "v %.17g %.17g %.17g"
     if animation.colors is not None:
         columns.append(animation.colors[:, :3] / 255.0)
         line += " %.6g %.6g %.6g"
     table = np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
-    text = OBJ_MARK.decode() + f"{line}\n" * len(table) % tuple(table.ravel().tolist())
+    mark = OBJ_MARK.decode()
+    if local and animation.is_far:
+        mark += "# origin {:.17g} {:.17g} {:.17g}\n".format(*animation.origin)
+    if animation.texture is not None and not local:
+        mark += f"mtllib {LIBRARY}\nusemtl {MATERIAL}\n"
+    text = mark + f"{line}\n" * len(table) % tuple(table.ravel().tolist())
     corner, given = "%d", 1
     if animation.normals is not None:
         text += "vn %.9g %.9g %.9g\n" * len(table) % tuple(animation.normals[frame].astype(float).ravel().tolist())

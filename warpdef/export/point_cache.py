@@ -1,7 +1,9 @@
 """Point caches for animators: .pc2 and .mdd, each with the base mesh beside it: ``walk_pc2.obj`` for ``walk.pc2``.
 
 A cache holds positions only; the program that plays it puts them on a mesh of the same vertex order. In Blender: import
-the .obj with its vertex order kept, add a Mesh Cache modifier, and choose the cache.
+the .obj with its vertex order kept, add a Mesh Cache modifier, and choose the cache. Far from the origin, where float32
+would lose the shape, both count from a point near the mesh: the .obj names it in a comment ``# origin x y z``, and the
+object's location is to be set there.
 
     .pc2  little-endian: "POINTCACHE2\\0", int32 version 1, int32 V, float32 first frame, float32 frames a sample,
           int32 T; then T times V positions, float32
@@ -38,4 +40,4 @@ def write_mdd(animation: Animation, path: Path) -> None:
 
 
 def _write_base(animation: Animation, path: Path) -> None:
-    path.with_name(f"{path.stem}_{path.suffix[1:]}.obj").write_bytes(obj_text(animation, 0))
+    path.with_name(f"{path.stem}_{path.suffix[1:]}.obj").write_bytes(obj_text(animation, 0, local=True))

@@ -9,13 +9,14 @@ import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.export.mesh_folders import write_ply_frames
+from warpdef.mesh import float32_where_exact
 
 
 @dataclass(frozen=True)
 class MovingPoints:
     """What is exported of points.
 
-    points:  places, input units                          (T, N, 3); made float32
+    points:  places, input units                          (T, N, 3); float32, or float64 far from the origin
     names:   what the frames are called                   T strings
     fps:     frames a second
     normals: of the points, in every frame, or None       (T, N, 3)
@@ -29,9 +30,10 @@ class MovingPoints:
     colors: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        points = np.ascontiguousarray(self.points, dtype=np.float32)
+        points = np.asarray(self.points)
         if points.ndim != 3 or points.shape[2] != 3 or len(self.names) != len(points):
             raise InputError(f"moving points: expected shape ({len(self.names)}, N, 3), got {points.shape}")
+        points = np.ascontiguousarray(float32_where_exact(points))
         object.__setattr__(self, "points", points)
 
 

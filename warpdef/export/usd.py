@@ -9,13 +9,15 @@ import numpy as np
 
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.export.animation import Animation, linear_colors
+from warpdef.export.image import image_name
 
 
 def write_usd(animation: Animation, path: Path) -> None:
     """Write .usd, .usda, .usdc or .usdz by the suffix of ``path``.
 
     Time codes are frame numbers from 0. Colours go to ``displayColor`` (linear) and ``displayOpacity``, texture
-    coordinates to ``primvars:st``.
+    coordinates to ``primvars:st``. Data far from its origin stands there by a translation of the parent. A texture's
+    image is a file beside it, ``walk_usdc_warpdef_texture.png``; a .usdz holds it itself.
 
     Raises:
         MissingPackageError: usd-core is not installed.
@@ -29,13 +31,20 @@ def write_usd(animation: Animation, path: Path) -> None:
         ) from error
     packed = path.suffix == ".usdz"
     layer = path.with_name("scene.usdc") if packed else path
+    image = None if animation.texture is None else path.with_name(image_name(animation.texture, path))
+    if image is not None:
+        image.write_bytes(animation.texture.data)
     try:
         stage = Usd.Stage.CreateNew(str(layer))
         _fill(stage, animation)
+        if image is not None:
+            _cover(stage, image.name)
         stage.GetRootLayer().Save()
         if packed:
             done = UsdUtils.CreateNewUsdzPackage(str(layer), str(path))
             layer.unlink()
+            if image is not None:
+                image.unlink()
             if not done:
                 raise InputError(f"{path.name}: the package could not be written; try .usdc")
     except Tf.ErrorException as error:
@@ -55,6 +64,8 @@ def _fill(stage: Any, animation: Animation) -> None:
     stage.SetEndTimeCode(len(animation) - 1)
     root = UsdGeom.Xform.Define(stage, "/warpdef")
     stage.SetDefaultPrim(root.GetPrim())
+    if animation.is_far:
+        root.AddTranslateOp().Set(Gf.Vec3d(*animation.origin.tolist()))
     mesh = UsdGeom.Mesh.Define(stage, "/warpdef/mesh")
     # Triangles as they are, not a cage for subdivision.
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
@@ -82,3 +93,30 @@ def _fill(stage: Any, animation: Animation) -> None:
         kind = Sdf.ValueTypeNames.TexCoord2fArray
         st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, UsdGeom.Tokens.vertex)
         st.Set(Vt.Vec2fArray.FromNumpy(animation.uv))
+
+
+def _cover(stage: Any, image: str) -> None:
+    """Put an image, named as it lies beside the file, on the mesh: a UsdPreviewSurface that reads it by ``st``."""
+    from pxr import Sdf, UsdShade
+
+    types = Sdf.ValueTypeNames
+    material = UsdShade.Material.Define(stage, "/warpdef/material")
+    surface = UsdShade.Shader.Define(stage, "/warpdef/material/surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("roughness", types.Float).Set(0.7)
+    surface.CreateInput("metallic", types.Float).Set(0.0)
+    reader = UsdShade.Shader.Define(stage, "/warpdef/material/coordinates")
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", types.String).Set("st")
+    texture = UsdShade.Shader.Define(stage, "/warpdef/material/texture")
+    texture.CreateIdAttr("UsdUVTexture")
+    texture.CreateInput("file", types.Asset).Set(Sdf.AssetPath(f"./{image}"))
+    texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
+    for wrap in ("wrapS", "wrapT"):
+        texture.CreateInput(wrap, types.Token).Set("repeat")
+    texture.CreateInput("st", types.Float2).ConnectToSource(reader.CreateOutput("result", types.Float2))
+    color = surface.CreateInput("diffuseColor", types.Color3f)
+    color.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
+    mesh = stage.GetPrimAtPath("/warpdef/mesh")
+    UsdShade.MaterialBindingAPI.Apply(mesh).Bind(material)

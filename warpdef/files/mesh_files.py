@@ -14,13 +14,18 @@ from warpdef.files.disk import must_exist
 from warpdef.files.frame_files import CLOUD_SUFFIXES, MESH_SUFFIXES, frame_files, read_surface, select_frames
 from warpdef.files.numpy_files import Npz
 from warpdef.files.surface import Surface
+from warpdef.files.texture import read_texture
 from warpdef.mesh import MeshSequence, TriMesh
 
 
-def read_mesh(path: Path | str) -> TriMesh:
+def read_mesh(path: Path | str, image: bool = True) -> TriMesh:
     """Read one mesh (.ply, .obj, .off); vertex order kept exactly, polygons cut into fans.
 
-    Its colours and texture coordinates, where it has any, are its ``appearance``.
+    Its colours and its texture, where it has any, are its ``appearance``.
+
+    Args:
+        path: the file.
+        image: read the texture's image, too, as ``read_texture`` does.
 
     Raises:
         InputError: missing, unknown suffix, damaged, without faces, or with NaN.
@@ -35,7 +40,7 @@ def read_mesh(path: Path | str) -> TriMesh:
             f"{path}: a mesh without faces; expected at least one triangle, got only points; give a surface mesh"
         )
     mesh = _checked(TriMesh, surface.points, surface.faces, path)
-    return replace(mesh, appearance=_appearance(surface, path))
+    return replace(mesh, appearance=_appearance(surface, path, image))
 
 
 def read_geometry(path: Path | str) -> Surface:
@@ -60,16 +65,20 @@ def read_geometry(path: Path | str) -> Surface:
     if normals is not None:
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = normals / length if np.isfinite(normals).all() and (length > 0).all() else None
-    look = _appearance(surface, path) or Appearance()
-    return Surface(surface.points, normals, faces, look.colors, look.uv, look.corner_uv)
+    look = _appearance(surface, path, image=True) or Appearance()
+    surface = replace(surface, normals=normals, faces=faces, texture=look.texture, notes=look.notes)
+    return replace(surface, colors=look.colors, uv=look.uv, corner_uv=look.corner_uv)
 
 
-def _appearance(surface: Surface, path: Path) -> Appearance | None:
+def _appearance(surface: Surface, path: Path, image: bool) -> Appearance | None:
     counts = len(surface.points), 0 if surface.faces is None else len(surface.faces)
     try:
         found = Appearance.checked(*counts, surface.colors, surface.uv, surface.corner_uv)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    if image and counts[1] and (found.uv is not None or found.corner_uv is not None):
+        texture, notes = read_texture(path, surface.named)
+        found = replace(found, texture=texture, notes=notes)
     return found if found.arrays() else None
 
 
@@ -135,7 +144,7 @@ def _archive(path: Path) -> Path | None:
 
 def _read_folder(path: Path, frames: slice | None) -> tuple[list[TriMesh], list[Path]]:
     files = select_frames(frame_files(path, MESH_SUFFIXES), frames, 1, path)
-    return [read_mesh(file) for file in files], files
+    return [read_mesh(file, image=False) for file in files], files
 
 
 def _read_npz(path: Path, frames: slice | None) -> MeshSequence:

@@ -6,6 +6,7 @@ of doubles and is then read by the same code as a binary body whose every proper
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 from array import array
@@ -16,7 +17,7 @@ import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.files.disk import read_bytes, replacing
-from warpdef.files.surface import Surface, byte_colors, fan_triangles
+from warpdef.files.surface import NamedImages, Surface, byte_colors, fan_triangles
 from warpdef.mesh import check_faces
 
 _TYPES = {
@@ -63,7 +64,8 @@ def read_ply(path: Path) -> Surface:
     """Points, normals (``nx ny nz``), colours, texture coordinates and faces of a PLY file.
 
     Colours are ``red green blue`` and perhaps ``alpha``, bytes or fractions of 1; texture coordinates are ``s t``,
-    ``u v`` or ``texture_u texture_v`` of a vertex, or ``texcoord`` of a triangle's corners.
+    ``u v`` or ``texture_u texture_v`` of a vertex, or ``texcoord`` of a triangle's corners. The image is named by
+    ``comment TextureFile``, as MeshLab has it.
 
     Raises:
         InputError: not a PLY file, a damaged header, no x, y, z, or fewer data than the header declares.
@@ -89,7 +91,9 @@ def read_ply(path: Path) -> Surface:
                     corner_uv = wedges[0].reshape(-1, 3, 2).astype(np.float64)
     if points is None:
         raise InputError(f"{path}: expected an element 'vertex' in the PLY header, got none; export the points")
-    return Surface(points, normals, faces, colors, uv, corner_uv)
+    names = re.findall(rb"^comment TextureFile[ \t]+(\S.*)", data[:offset], re.MULTILINE)
+    named = NamedImages(images=tuple(os.fsdecode(name.rstrip()) for name in names))
+    return Surface(points, normals, faces, colors, uv, corner_uv, named)
 
 
 def _parse_header(data: bytes, where: str) -> tuple[list[_Element], bool, int]:

@@ -2,6 +2,7 @@
 
     sequence.npz   vertices (T, V, 3) in input units, float32 (far from the origin float64), faces (F, 3) int32,
                    keyframe, names (T,); of a template given vertex_colors and uv or corner_uv, where it has any
+    texture.png    the image on that template, or texture.jpg, byte for byte
     motion.npz     the deformation grids, for `warpdef deform`
     meshes/        0000.ply, 0001.ply, ...: the same, one mesh a frame
     config.toml    the configuration, whole
@@ -19,7 +20,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,14 +36,18 @@ from warpdef.files.json_text import json_text
 from warpdef.files.mesh_files import read_mesh_sequence
 from warpdef.files.numpy_files import Npz, write_npz
 from warpdef.files.ply import write_ply
+from warpdef.files.texture import read_texture_file
 from warpdef.mesh import MeshSequence, float32_where_exact
 from warpdef.result import Moving
+from warpdef.texture import Texture
 
 if TYPE_CHECKING:
     from warpdef.motion.grid_motion import GridMotion
 
 _REQUIRED = ("sequence.npz", "config.toml", "report.json")
 _OWN = {*_REQUIRED, "motion.npz", "steps.jsonl", "metrics.json", "meshes"}
+_TEXTURES = tuple(f"texture.{kind}" for kind in Texture.KINDS)
+_OWN |= {*_TEXTURES}
 # Left behind by file browsers, of no one's making.
 _LITTER = {".DS_Store", "Thumbs.db", "desktop.ini"}
 
@@ -56,7 +61,7 @@ class Run(Moving):
     names:      the input's frame names   T strings
     config:     the configuration of the run
     report:     contents of report.json
-    appearance: colours and texture coordinates of the template given, where it had any
+    appearance: colours and texture of the template given, where it had any
     """
 
     path: Path
@@ -184,7 +189,7 @@ class RunFolder:
             steps: for steps.jsonl, a mapping an iteration.
             names: T names of the input's frames.
             motion: the deformation grids; None: the run cannot be used by ``deform``.
-            appearance: colours and texture coordinates of the mesh.
+            appearance: colours and texture of the mesh.
 
         Returns:
             The folder, absolute.
@@ -207,6 +212,8 @@ class RunFolder:
             arrays |= {"keyframe": np.array(keyframe, dtype=np.int64), "names": np.array(names, dtype=np.str_)}
             arrays |= {} if appearance is None else appearance.arrays()
             write_npz(temporary / "sequence.npz", arrays)
+            if appearance is not None and appearance.texture is not None:
+                (temporary / f"texture.{appearance.texture.kind}").write_bytes(appearance.texture.data)
             if motion is not None:
                 write_npz(temporary / "motion.npz", motion.arrays())
             for frame, positions in enumerate(sequence.vertices):
@@ -251,6 +258,9 @@ def load_run(path: Path | str) -> Run:
         appearance = Appearance.from_arrays(look, meshes.vertices.shape[1], len(meshes.faces))
     except InputError as error:
         raise InputError(f"{npz.path}: {error}") from None
+    image = next((path / name for name in _TEXTURES if (path / name).is_file()), None)
+    if image is not None and (appearance.uv is not None or appearance.corner_uv is not None):
+        appearance = replace(appearance, texture=read_texture_file(image))
     return Run(path, meshes, keyframe, names, load_config(path / "config.toml"), report, appearance)
 
 

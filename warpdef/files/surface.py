@@ -7,6 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpdef.errors import InputError
+from warpdef.texture import Texture
+
+
+@dataclass(frozen=True)
+class NamedImages:
+    """What a mesh file says of its texture's image; names are as they stand there.
+
+    images:    image files                                    (PLY)
+    libraries: of materials: lines of one or more file names  (OBJ)
+    materials: those that faces use                           (OBJ)
+    """
+
+    images: tuple[str, ...] = ()
+    libraries: tuple[str, ...] = ()
+    materials: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -19,6 +34,9 @@ class Surface:
     colors:    of the points, or None                                (N, 3) or (N, 4) uint8
     uv:        texture coordinates of the points, or None            (N, 2) float64
     corner_uv: those of the faces' corners, where they differ        (F, 3, 2) float64
+    named:     images that the file names, not opened
+    texture:   the image, once it is read
+    notes:     why it is missing, a line each
     """
 
     points: np.ndarray
@@ -27,6 +45,9 @@ class Surface:
     colors: np.ndarray | None = None
     uv: np.ndarray | None = None
     corner_uv: np.ndarray | None = None
+    named: NamedImages = NamedImages()
+    texture: Texture | None = None
+    notes: tuple[str, ...] = ()
 
 
 def fan_triangles(indices: np.ndarray, counts: np.ndarray, where: str) -> np.ndarray:

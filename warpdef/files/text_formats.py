@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 from array import array
 from collections.abc import Iterator
@@ -13,13 +14,13 @@ import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.files.disk import read_bytes
-from warpdef.files.surface import Surface, byte_colors, fan_triangles, vertex_or_corner_uv
+from warpdef.files.surface import NamedImages, Surface, byte_colors, fan_triangles, vertex_or_corner_uv
 
 _BLOCK = 1 << 14  # rows that are kept as words before they become numbers
 
 
 def read_obj(path: Path) -> Surface:
-    """Vertices, faces, normals, texture coordinates and vertex colours of an OBJ file; materials are passed over.
+    """Vertices, faces, normals, texture coordinates and vertex colours of an OBJ file; materials by name only.
 
     Normals are taken where there are as many ``vn`` as ``v`` and no face pairs a vertex with another's normal; texture
     coordinates where all corners of all faces have them; colours where every ``v`` has six numbers.
@@ -33,6 +34,8 @@ def read_obj(path: Path) -> Surface:
     vertices, normals = _Rows(f"{path}: vertex"), _Rows(f"{path}: normal")
     textures, colors = _Rows(f"{path}: texture coordinate"), _Rows(f"{path}: vertex colour")
     indices, counts, texture_indices = array("q"), array("q"), array("q")
+    libraries: list[str] = []
+    materials: list[tuple[int, str]] = []  # each with the number of its first face
     paired = True
     for number, line in _lines(text):
         words = line.split()
@@ -62,6 +65,10 @@ def read_obj(path: Path) -> Surface:
             except ValueError:
                 raise InputError(f"{path}: line {number}: expected a face like 'f 1 2 3', got {_shown(line)}") from None
             counts.append(len(corners))
+        elif words[0] == b"mtllib":
+            libraries.append(_rest(line))
+        elif words[0] == b"usemtl":
+            materials.append((len(counts), _rest(line)))
     if not vertices.count:
         raise InputError(f"{path}: expected lines 'v x y z', got none; export the vertices")
     usable = normals.count == vertices.count and paired
@@ -72,7 +79,10 @@ def read_obj(path: Path) -> Surface:
         places = textures.table()[:, :2]
         corners = fan_triangles(_indices(texture_indices, len(places), str(path)), counts, str(path))
         uv, corner_uv = vertex_or_corner_uv(places[corners], faces, vertices.count)
-    return Surface(vertices.table(), normals.table() if usable else None, faces, shades, uv, corner_uv)
+    ends = [first for first, _ in materials[1:]] + [len(counts)]
+    used = dict.fromkeys(name for (first, name), end in zip(materials, ends, strict=False) if end > first)
+    named = NamedImages(libraries=tuple(libraries), materials=tuple(used))
+    return Surface(vertices.table(), normals.table() if usable else None, faces, shades, uv, corner_uv, named)
 
 
 def read_off(path: Path) -> Surface:
@@ -232,6 +242,11 @@ def _lines(text: bytes) -> Iterator[tuple[int, bytes]]:
     if b"\r" in text:
         text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return enumerate(io.BytesIO(text), 1)
+
+
+def _rest(line: bytes) -> str:
+    """What follows a line's first word, blanks and all."""
+    return os.fsdecode(b"".join(line.split(None, 1)[1:]).strip())
 
 
 def _index(word: bytes) -> int:

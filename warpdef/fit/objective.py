@@ -23,7 +23,7 @@ import warp as wp
 from warpdef.fit.problem import Problem
 from warpdef.fit.workers import Phase
 from warpdef.kernels.cells import PointGrid
-from warpdef.kernels.chamfer import fixed_to_moving, moving_to_fixed
+from warpdef.kernels.chamfer import BOTH_SIDES, fixed_to_moving, moving_to_fixed
 from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_points, move_vertices, scatter_vertices
@@ -31,6 +31,10 @@ from warpdef.kernels.neighbours import NearestSearch
 from warpdef.kernels.schedule import clear_losses, clear_vectors, confidence
 
 VERTICES_PER_TASK = 1024
+# How far apart a point and its partner's partner may be where a cloud shows part of the surface (``chamfer``): about as
+# far as on a surface that both sets cover.
+_REACH_SPACINGS = 2.0
+_REACH_EDGES = 0.5
 
 
 class Objective:
@@ -94,6 +98,25 @@ class Objective:
         self._transform_weight = p.numbers(transform)
         self._robust = (loss.robust_alpha, loss.robust_power, loss.tangential)
         self._isometry_share = 1.0 / (steps * len(p.edges))
+        self._weigh_sides()
+
+    def _weigh_sides(self) -> None:
+        """Which pairs count where a cloud shows part of the surface; all of them where every cloud shows all of it."""
+        p = self.problem
+        self.vertex_sides = self._moved_sides = self._met_sides = BOTH_SIDES
+        if p.complete.all():
+            return
+
+        def reach(spacing: np.ndarray, answered_by: np.ndarray) -> wp.array:
+            return p.numbers(np.where(p.complete[answered_by], np.inf, spacing))
+
+        source, target = p.transitions.source, p.transitions.target
+        here, there = p.spacing[source], p.spacing[target]
+        clouds = here + there + np.maximum(here, there)
+        vertices = _REACH_SPACINGS * p.spacing + _REACH_EDGES * p.edge_length
+        self.vertex_sides = self.cloud_to_vertex.index, reach(vertices, np.arange(p.frame_count))
+        self._moved_sides = self.cloud_to_moved.index, reach(clouds, target)
+        self._met_sides = self.moved_to_cloud.index, reach(clouds, source)
 
     # Tasks. Each is called once to be recorded, or at every iteration on CUDA.
 
@@ -112,11 +135,11 @@ class Objective:
         results = (self._input_weight, self._robust, self.loss_input, self.adj_moved)
         moving_to_fixed(
             begin, count, self.moved, p.moved_transition, self.moved_to_cloud.index, p.cloud, p.normals,
-            self._moved_share, *results,
+            self._moved_share, *results, self._moved_sides,
         )  # fmt: skip
         fixed_to_moving(
             met_begin, met_count, p.cloud, p.normals, p.cloud_transition, self.cloud_to_moved.index, self.moved,
-            self._met_share, *results,
+            self._met_share, *results, self._met_sides,
         )  # fmt: skip
         adj_move_points(
             begin, count, self.levels, p.origin, p.moved_transition, self.moved_rotation, self.adj_moved, self.adj_nodes
@@ -154,6 +177,7 @@ class Objective:
             p.normals,
             self._vertex_share,
             *results,
+            self.vertex_sides,
         )
         fixed_to_moving(
             met_begin, met_count, p.cloud, p.normals, p.cloud_frame, self.cloud_to_vertex.index, flat,

@@ -21,6 +21,11 @@ from warpdef.kernels.levels import LevelTable
 from warpdef.mesh import unique_edges
 
 _NEIGHBOURS = 16  # of a point, for the local shape of its cloud
+COMPLETE = 0.87
+"""Share of the largest frame's area from which a cloud shows all of the surface; whole bodies in motion keep 0.9."""
+COMPLETE_TEMPLATE = 0.7
+"""Share of the template's area that it must have as well; thin limbs and few points cost whole bodies up to 0.24."""
+_JUDGED = 100  # points from which a cloud's area says something
 
 
 @dataclass(frozen=True)
@@ -144,8 +149,39 @@ class Problem:
         return float(np.median(self._local_shape[1]))
 
     @cached_property
+    def complete(self) -> np.ndarray:
+        """Which frames show all of the surface, by their area, shape (T,) bool."""
+        area = self._local_shape[2]
+        a, b, c = (self.template[self.faces[:, k]] for k in range(3))
+        whole = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+        # Noise adds to a cloud's area: what exceeds the template's says nothing.
+        least = max(COMPLETE * min(area.max(), whole), COMPLETE_TEMPLATE * whole)
+        return (area >= least) | (self.cloud_sizes < _JUDGED)
+
+    @cached_property
+    def border(self) -> np.ndarray | None:
+        """Border vertices' neighbours before and after on the border, and one inside; -1 elsewhere. (V, 3).
+
+        None for a closed template. A vertex at which several borders meet has neighbours of one of them.
+        """
+        a, b, c = (np.roll(self.faces, -k, axis=1).ravel().astype(np.int64) for k in range(3))
+        alone = ~np.isin(a * self.vertex_count + b, b * self.vertex_count + a)
+        if not alone.any():
+            return None
+        border = np.full((self.vertex_count, 3), -1)
+        border[a[alone], 1], border[a[alone], 2], border[b[alone], 0] = b[alone], c[alone], a[alone]
+        border[(border < 0).any(axis=1)] = -1
+        return border
+
+    @cached_property
+    def edge_length(self) -> float:
+        """Mean length of the template's edges, cube units."""
+        ends = self.template[self.edges.numpy()]
+        return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
+
+    @cached_property
     def _local_shape(self) -> np.ndarray:
-        """Spacing and thickness of every frame, shape (2, T)."""
+        """Spacing, thickness and area of every frame, shape (3, T)."""
         from scipy.spatial import cKDTree
 
         cloud, first = self.cloud.numpy().astype(np.float64), self.cloud_first
@@ -156,7 +192,9 @@ class Problem:
             near -= near.mean(axis=1, keepdims=True)
             spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near))
             thin, wide = np.sqrt(np.maximum(np.median(spread[:, :2], axis=0), 0.0))
-            found.append((distance[:, 1].mean(), thin / max(wide, 1e-12)))
+            # As many points stand for the disc to the last neighbour as lie inside it.
+            area = np.pi * (distance[:, -1] ** 2).sum() / max(distance.shape[1] - 1, 1)
+            found.append((distance[:, 1].mean(), thin / max(wide, 1e-12), area))
         return np.array(found).T
 
     @property

@@ -3,7 +3,8 @@
 A leg that swings by a fifth of the body finds the other leg nearest, and stays there. What tells right from wrong is
 the surface: a wrong match is not connected to the rest of the body by matches. So the neighbour's mesh is bent towards
 the points by the matches of one connected part alone; all else follows as rigidly as it can. Step by step the hip turns
-the thigh, the thigh carries the foot, and the connected part grows until it is the whole mesh.
+the thigh, the thigh carries the foot, and the connected part grows until it is the whole mesh. Frame by frame outwards
+from the keyframe, so that behind a frame that is found again the next ones are, too.
 """
 
 from __future__ import annotations
@@ -27,9 +28,11 @@ RIGIDITY = 0.03
 """Weight of rigidity between nodes, mean over links, against the mean squared distance along normals."""
 TANGENTIAL = 0.02
 """Weight of a match's distance along the surface."""
+LOST = 0.005
+"""Share of points that no connected part covers, above twice the keyframe's, from which a frame has lost something."""
 _STILL = 0.02  # of the reach: a largest move below it ends the bending
-_LOST = 0.005  # share of points that no connected part covers, above twice the keyframe's
-_BETTER = 0.7  # of the old uncovered share: what a second fit must reach to be taken
+_BETTER = 0.7  # of the old uncovered share: what a second fit must reach to be taken, where it leaves something lost
+_NOTHING = 0.3  # uncovered share of a neighbour from which nothing can be learnt
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class Matches:
     def find(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Trusted vertices (m,), the points (m, 3) nearest to them and their normals (m, 3)."""
         distance, nearest = self.tree.query(vertices)
-        cosine = (_vertex_normals(vertices, self.faces) * self.cloud.normals[nearest]).sum(axis=1)
+        cosine = (vertex_normals(vertices, self.faces) * self.cloud.normals[nearest]).sum(axis=1)
         on = (distance < self.reach) & ((cosine if self.cloud.oriented else np.abs(cosine)) > AGREEMENT)
         kept = self.edges[on[self.edges].all(axis=1)]
         part = _components(kept, len(vertices))
@@ -105,7 +108,7 @@ def recover(
     """
     matches = [Matches(cloud, faces, edges) for cloud in clouds]
     uncovered = [m.uncovered(v) for m, v in zip(matches, vertices, strict=True)]
-    bound = 2.0 * uncovered[keyframe] + _LOST
+    bound = 2.0 * uncovered[keyframe] + LOST
     recovered, lost = [], []
     graph = None
     for side in (range(keyframe + 1, len(clouds)), range(keyframe - 1, -1, -1)):
@@ -113,14 +116,14 @@ def recover(
             if uncovered[t] <= bound:
                 continue
             inner = t - side.step
-            if inner not in lost:  # nothing can be learnt from a frame that is lost itself
+            if uncovered[inner] <= _NOTHING:
                 graph = graph or DeformationGraph.build(vertices[keyframe], edges, NODES)
                 if not clouds[t].oriented:
                     matches[t] = Matches(clouds[t].turned_outwards(), faces, edges)
                     uncovered[t] = matches[t].uncovered(vertices[t])
                 again = _bend(graph, vertices[inner], matches[t])
                 left = matches[t].uncovered(again)
-                if left <= _BETTER * uncovered[t]:
+                if left <= max(_BETTER * uncovered[t], bound):
                     vertices[t], uncovered[t] = again, left
                     recovered.append(t)
             if uncovered[t] > bound:
@@ -151,7 +154,7 @@ def _components(edges: np.ndarray, count: int) -> np.ndarray:
     return connected_components(linked, directed=False)[1]
 
 
-def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normals (V, 3), weighted by area; zero where all faces around are degenerate."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)

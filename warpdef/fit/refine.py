@@ -7,10 +7,13 @@ moves on its own, by Gauss-Newton on
 
 with symmetric point-to-plane residuals r both ways, a rotation R a vertex and frame, and one rest shape y for all
 frames. y is an unknown like the others: what one frame's points leave open, the points of all others fill in. The
-noisier the clouds (measured by how thick they are locally), the stiffer, and the less their own normals count.
+noisier the clouds (measured by how thick they are locally), the stiffer, and the less their own normals count. The
+border of an open mesh reaches for where the points end (``kernels.borders``); what a frame does not show is held by the
+frames around it (``kernels.unseen``).
 
 A round is three phases: every frame pairs, solves for its moves and fits its rotations; every vertex asks all frames
-for its edges; the shape is solved for. Part of the way through, frames that lost a limb are fitted again (``recover``).
+for its edges; the shape is solved for. Where a frame is incomplete a phase before them says where its vertices are
+expected. Part of the way through, frames that lost a limb are fitted again (``recover``).
 """
 
 from __future__ import annotations
@@ -28,15 +31,20 @@ from warpdef.fit.recover import Cloud, recover
 from warpdef.fit.sobolev import SolveReport, note_solve
 from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.block_cg import BlockSolver
+from warpdef.kernels.borders import cloud_borders, vertex_borders
 from warpdef.kernels.cg import ConjugateGradients
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
 from warpdef.kernels.schedule import add_scaled, blend, copy_vectors
+from warpdef.kernels.unseen import expected_places, hold_unseen
 
 _SHAPE_TOLERANCE = 1e-4
 _SHAPE_ITERATIONS = 200
 _OPPOSED_MAX = 0.01  # share of given normals against the mesh that is taken for contact, not for flips
 _NOISE_MAX = 1.25  # rigidity grows no further
+_BORDER = 0.1  # weight of a residual across the border against one plane: a border is sampled sparsely, hence noisy
+_BORDER_GAP = 0.9  # from the border to the nearest point, in mean point spacings
+_HOLD = 0.05  # weight of the place expected of an unseen vertex against one plane
 _SETTLED = 8  # rounds after which a frame shows whether it lost a limb
 
 
@@ -76,6 +84,8 @@ class Refinement:
         self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
         share = max(1.0 - self.noise, 0.0)
         self._pairing = (c.agreement * share, share, p.numbers(c.reach * p.spacing))
+        self._lay_borders()
+        self._lay_times()
         self.solves = SolveReport("block cg")
         # Whether a frame's normals were given sides by the mesh; this and the next belong to the state: on the device.
         self._doubtful = p.integers(~p.oriented)
@@ -91,6 +101,29 @@ class Refinement:
         self._faces = wp.array(p.faces, dtype=wp.int32, ndim=2, device=p.device)
         self._face_row = p.integers(np.concatenate([[0], np.cumsum(counts)]))
         self._face_of = p.integers(corner // 3)
+
+    def _lay_borders(self) -> None:
+        p, self._border = self.problem, None
+        if p.border is not None:
+            border = wp.array(p.border.astype(np.int32), dtype=wp.int32, ndim=2, device=p.device)
+            self._border, self._border_gap = border, p.numbers(_BORDER_GAP * p.spacing)
+
+    def _lay_times(self) -> None:
+        """From which frames the unseen part of an incomplete one is expected: those around it, if there are two."""
+        p, self._expected = self.problem, None
+        if p.complete.all() or p.frame_count < 3:
+            return
+        t = np.arange(p.frame_count)
+        near, far = t - 1, t + 1
+        near[0], far[0], near[-1], far[-1] = 1, 2, t[-2], t[-3]
+        between = np.ones(p.frame_count)
+        between[[0, -1]] = 0
+        held = ~p.complete
+        # Beyond two frames is no guess if the nearer one is a guess itself.
+        held[[0, -1]] &= p.complete[[1, -2]]
+        self._times = p.integers(near), p.integers(far), p.integers(between)
+        self._hold = p.numbers(np.where(held, _HOLD, 0.0))
+        self._expected = wp.zeros_like(self.objective.vertices)
 
     def prepare(self) -> None:
         """CPU: record all commands, which compiles what they need."""
@@ -136,9 +169,13 @@ class Refinement:
             np.split(a.astype(np.float64), p.cloud_first[1:-1]) for a in (p.cloud.numpy(), self._given_normals)
         )
         clouds = [Cloud(*frame) for frame in zip(points, normals, p.oriented, self._doubtful.numpy() == 0, strict=True)]
-        recovered, lost = recover(vertices, clouds, p.faces, p.edges.numpy(), p.transitions.keyframe)
+        # Of an incomplete frame what is seen need not hang together: it says nothing of limbs lost.
+        judged = np.flatnonzero(p.complete | (np.arange(p.frame_count) == p.transitions.keyframe))
+        chosen, keyframe = vertices[judged], int(np.searchsorted(judged, p.transitions.keyframe))
+        recovered, lost = recover(chosen, [clouds[t] for t in judged], p.faces, p.edges.numpy(), keyframe)
+        vertices[judged] = chosen
         fate = np.zeros(p.frame_count, dtype=np.int32)
-        fate[recovered], fate[lost] = 1, 2
+        fate[judged[recovered]], fate[judged[lost]] = 1, 2
         self._fate.assign(fate)
         if recovered:
             o.vertices.assign(vertices.astype(np.float32))
@@ -176,7 +213,7 @@ class Refinement:
         """Plain values for ``report.json``."""
         thickness = self.problem.thickness
         measured = {"thickness": thickness, "noise": self.noise, "rigidity": self.rigidity}
-        return {"rounds": self.done, **measured}
+        return {"rounds": self.done, **measured, "frames_partial": int((~self.problem.complete).sum())}
 
     # Tasks.
 
@@ -191,13 +228,23 @@ class Refinement:
         o.cloud_to_vertex.run(met_begin, met_count)
 
         flat, normals = o.vertices.flatten(), self._normals.flatten()
-        sums = (p.cloud, p.normals, self._matrix.flatten(), self._pull.flatten())
-        vertex_planes(begin, count, self._pairing, flat, normals, p.vertex_frame, o.vertex_to_cloud.index, *sums)
-        cloud_planes(met_begin, met_count, self._pairing, flat, normals, p.cloud_frame, o.cloud_to_vertex.index, *sums)
+        cloud, sums = (p.cloud, p.normals), (self._matrix.flatten(), self._pull.flatten())
+        met = (begin, count, self._pairing, flat, normals, p.vertex_frame, o.vertex_to_cloud.index, *cloud)
+        asked = (met_begin, met_count, self._pairing, flat, normals, p.cloud_frame, o.cloud_to_vertex.index, *cloud)
+        vertex_planes(*met, *sums, o.vertex_sides)
+        cloud_planes(*asked, *sums)
+        if self._border is not None:
+            vertex_borders(*met, self._border, _BORDER, self._border_gap, *sums, o.vertex_sides)
+            cloud_borders(*asked, self._border, _BORDER, *sums)
+        if self._expected is not None:
+            hold_unseen(*met, self._expected.flatten(), self._hold, *sums, o.vertex_sides)
         rigid_pull(begin, count, self.rigidity, *mesh, self._rest, self._rotation, o.vertices, self._pull)
         self._solver.solve(first, last, self.rigidity, c.damping, self._matrix, self._pull, self._move)
         add_scaled(begin, count, 1.0, self._move.flatten(), flat)
         fit_rotations(begin, count, *mesh, self._rest, o.vertices, self._rotation)
+
+    def _expect(self, begin: int, count: int) -> None:
+        expected_places(begin, count, *self._times, self.objective.vertices, self._rotation, self._expected)
 
     def _ask_frames(self, begin: int, count: int) -> None:
         rest_pull(begin, count, self._row, self._column, self._rotation, self.objective.vertices, self._shape_pull)
@@ -219,4 +266,7 @@ class Refinement:
             ("edges", [partial(self._ask_frames, a, b - a) for a, b in runs]),
             ("shape", [self._fit_shape]),
         ]
+        if self._expected is not None:
+            count = p.vertex_count
+            phases.insert(0, ("expect", [partial(self._expect, a * count, (b - a) * count) for a, b in frames]))
         return [Phase(name, tasks) for name, tasks in phases]

@@ -1,0 +1,132 @@
+"""What a frame does not show is where the frames around it say: vertices without points are held halfway between.
+
+    A += h u I,   b += h u (e - x),   u = 1 - w w' |a|^2
+
+x a vertex, e the place expected of it, w w' a the weights and the plane of its pair (``planes``): u is 0 on the points
+and 1 far from them. e is where a screw motion through the vertex's places p and q in two other frames puts it, whose
+rotation Q from p to q is that of the mesh around it: its Cayley vector z has the length of the tangent of half the
+angle.
+
+    between p and q:   e = (p + q) / 2 + (q - p) x z / 2 (1 + sqrt(1 + z^2))    the middle of the arc, not of its chord
+    before p:          e = p + Q^T (p - q)                                      at either end of the sequence
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from warpdef.kernels.chamfer import mutual_weight
+from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.planes import pair_plane, pair_weight
+
+wp.set_module_options(MODULE_OPTIONS)
+
+
+LEAST_TRACE = wp.constant(0.1)  # of a rotation, plus 1: the arc's height is bounded near half a turn
+
+
+@wp.func
+def middle_of_arc(p: wp.vec3, q: wp.vec3, turn: wp.mat33) -> wp.vec3:
+    """Halfway from p to q on the screw motion with the rotation ``turn``."""
+    twist = wp.vec3(turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1])
+    z = twist / wp.max(1.0 + wp.trace(turn), LEAST_TRACE)
+    return 0.5 * (p + q) + (0.5 / (1.0 + wp.sqrt(1.0 + wp.length_sq(z)))) * wp.cross(q - p, z)
+
+
+@wp.kernel
+def _expected_places(
+    # In:
+    begin: int,
+    near: wp.array(dtype=wp.int32),
+    far: wp.array(dtype=wp.int32),
+    between: wp.array(dtype=wp.int32),
+    vertices: wp.array2d(dtype=wp.vec3),
+    rotation: wp.array2d(dtype=wp.mat33),
+    # Out:
+    expected_out: wp.array2d(dtype=wp.vec3),
+):
+    """One thread a vertex of a frame."""
+    k = begin + wp.tid()
+    t = k // vertices.shape[1]
+    i = k - t * vertices.shape[1]
+    p = vertices[near[t], i]
+    q = vertices[far[t], i]
+    turn = rotation[far[t], i] * wp.transpose(rotation[near[t], i])
+    if between[t] != 0:
+        expected_out[t, i] = middle_of_arc(p, q, turn)
+    else:
+        expected_out[t, i] = p + wp.transpose(turn) * (p - q)
+
+
+@wp.kernel
+def _hold_unseen(
+    # In:
+    begin: int,
+    agreement: float,
+    share: float,
+    reach: wp.array(dtype=wp.float32),
+    vertices: wp.array(dtype=wp.vec3),
+    vertex_normals: wp.array(dtype=wp.vec3),
+    vertex_frame: wp.array(dtype=wp.int32),
+    nearest: wp.array(dtype=wp.int32),
+    cloud: wp.array(dtype=wp.vec3),
+    cloud_normals: wp.array(dtype=wp.vec3),
+    back: wp.array(dtype=wp.int32),
+    mutual_reach: wp.array(dtype=wp.float32),
+    expected: wp.array(dtype=wp.vec3),
+    hold: wp.array(dtype=wp.float32),
+    # Out, added to:
+    matrix_out: wp.array(dtype=wp.mat33),
+    pull_out: wp.array(dtype=wp.vec3),
+):
+    """One thread a vertex of a frame."""
+    i = begin + wp.tid()
+    t = vertex_frame[i]
+    j = nearest[i]
+    if hold[t] > 0.0:
+        seen = float(0.0)
+        if j >= 0:
+            a = pair_plane(cloud_normals[j], vertex_normals[i], agreement, share)
+            seen = wp.length_sq(a) * pair_weight(vertices[i] - cloud[j], reach[t])
+            if back[j] >= 0:
+                seen *= mutual_weight(vertices[i], vertices[back[j]], mutual_reach[t])
+        h = hold[t] * wp.max(1.0 - seen, 0.0)
+        matrix_out[i] = matrix_out[i] + h * wp.identity(n=3, dtype=float)
+        pull_out[i] = pull_out[i] + h * (expected[i] - vertices[i])
+
+
+def expected_places(begin, count, near, far, between, vertices, rotation, expected_out):
+    """Expected places of ``count`` vertices from ``begin``, counted over all frames.
+
+    Args:
+        near, far: shape (T,) int32, the frames of p and q. between: shape (T,) int32, 0 for a frame before p.
+        vertices, expected_out: shape (T, V) vec3. rotation: shape (T, V) mat33, from the rest shape to each frame.
+    """
+    inputs = [begin, near, far, between, vertices, rotation, expected_out]
+    launch(_expected_places, count, inputs, vertices.device)
+
+
+def hold_unseen(
+    begin,
+    count,
+    pairing,
+    vertices,
+    normals,
+    frame,
+    nearest,
+    cloud,
+    cloud_normals,
+    expected,
+    hold,
+    matrix_out,
+    pull_out,
+    one_sided,
+):
+    """Hold what has no points, vertices ``begin .. begin + count`` of all frames.
+
+    Args:
+        expected: shape (T V,) vec3. hold: shape (T,) float32, weight against one plane; 0 leaves a frame alone.
+        matrix_out, pull_out: shape (T V,), added to. All else as in ``planes.vertex_planes``.
+    """
+    inputs = [begin, *pairing, vertices, normals, frame, nearest, cloud, cloud_normals, *one_sided]
+    launch(_hold_unseen, count, [*inputs, expected, hold, matrix_out, pull_out], vertices.device)

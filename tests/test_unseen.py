@@ -1,0 +1,100 @@
+"""Where unseen vertices are expected, and how they are held there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import reference_refine as twin
+import warp as wp
+from gradients import assert_gradients_close
+from test_planes import AGREEMENT, SHARE, Scene, put, spans
+
+from warpdef.kernels.unseen import expected_places, hold_unseen
+
+
+def expected(device: str, vertices, rotation, near, far, between, cuts=(0,)) -> np.ndarray:
+    """(T, V, 3), by the kernel."""
+    times = [put(a, wp.int32, device) for a in (near, far, between)]
+    out = put(np.full(vertices.shape, np.nan), wp.vec3, device)
+    mesh = (put(vertices, wp.vec3, device), put(rotation, wp.mat33, device))
+    for begin, count in spans(cuts, vertices.shape[0] * vertices.shape[1]):
+        expected_places(begin, count, *times, *mesh, out)
+    return out.numpy()
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-4, 0.3, 1.2])
+def test_a_screw_motion_is_met_exactly(angle: float, device: str, rng: np.random.Generator) -> None:
+    """Frame 1 lies in the middle of 0 and 2; frame 3 continues 1 and 2 into the future, as seen from its end."""
+    body, axis, shift = rng.normal(size=(20, 3)), rng.normal(size=3), rng.normal(size=3)
+    shift = axis * (shift @ axis) / (axis @ axis)
+    turn = np.stack([twin.turn_about(axis, angle * t) for t in range(4)])
+    vertices = np.einsum("tab,vb->tva", turn, body) + shift * np.arange(4)[:, None, None] + [0.2, 0.1, -0.3]
+    rotation = np.repeat(turn[:, None], 20, axis=1)
+    found = expected(device, vertices, rotation, [1, 0, 1, 2], [2, 2, 3, 1], [0, 1, 1, 0])
+    np.testing.assert_allclose(found, vertices, rtol=0, atol=1e-5)
+
+
+def test_half_a_turn_and_spans(device: str, rng: np.random.Generator) -> None:
+    """Opposite places: no arc is known, the place stays finite and within the circle. Spans are the whole."""
+    turn = np.stack([np.eye(3), np.eye(3), twin.turn_about([0, 0, 1], np.pi)])
+    vertices = np.array([[[1.0, 0, 0]], [[0, 0, 0]], [[-1.0, 0, 0]]])
+    times = ([1, 0, 1], [2, 2, 0], [0, 1, 0])
+    found = expected(device, vertices, turn[:, None], *times)
+    assert np.isfinite(found).all() and np.linalg.norm(found[1]) <= 1.001
+    many = rng.normal(size=(3, 11, 3))
+    rotation = np.repeat(turn[:, None], 11, axis=1)
+    whole = expected(device, many, rotation, *times)
+    np.testing.assert_array_equal(expected(device, many, rotation, *times, cuts=(0, 5, 20)), whole)
+
+
+class Held(Scene):
+    """The scene of random pairs, and a place where each vertex is expected; the second frame is left alone."""
+
+    def __init__(self, device: str, rng: np.random.Generator, hold=(0.4, 0.0)) -> None:
+        super().__init__(device, rng)
+        self.expected = rng.normal(size=self.x.shape).astype(np.float32)
+        self.hold, self.mutual_reach = np.array(hold, np.float32), np.array([2.0, np.inf], np.float32)
+
+    def run(self, start: float = 0.0, cuts=(0,)):
+        on = self.device
+        sums = [
+            put(np.full((self.count, 3, 3), start), wp.mat33, on),
+            put(np.full((self.count, 3), start), wp.vec3, on),
+        ]
+        x, m, q, n, e = (put(a, wp.vec3, on) for a in (self.x, self.m, self.q, self.n, self.expected))
+        places = [put(a, wp.int32, on) for a in (self.frame["met"], self.index["met"])]
+        pairing = (AGREEMENT, SHARE, put(self.reach, wp.float32, on))
+        sides = (put(self.index["asked"], wp.int32, on), put(self.mutual_reach, wp.float32, on))
+        hold = put(self.hold, wp.float32, on)
+        for begin, count in spans(cuts, self.count):
+            hold_unseen(begin, count, pairing, x, m, *places, q, n, e, hold, *sums, sides)
+        return tuple(a.numpy() for a in sums)
+
+    def twin(self) -> tuple[np.ndarray, np.ndarray]:
+        pairs, seen = self.planes("met"), np.zeros(self.count)
+        seen[pairs.owner] = pairs.w * (pairs.a != 0).any(axis=1)
+        h = self.hold[self.frame["met"]] * (1 - seen)
+        return h[:, None, None] * np.eye(3), h[:, None] * (self.expected.astype(np.float64) - self.x)
+
+
+def test_holding_matches_the_twin(device: str, rng: np.random.Generator) -> None:
+    """The pull is minus half the gradient of h u |x - e|^2, the matrix half its second derivative, both in the twin."""
+    held = Held(device, rng)
+    for found, expected_sum in zip(held.run(), held.twin(), strict=True):
+        assert_gradients_close(found, expected_sum)
+        assert found[:30].any() and not found[30:].any()
+    for found, fresh in zip(held.run(start=5.0, cuts=(0, 7, 31)), held.run(), strict=True):
+        np.testing.assert_allclose(found, fresh + 5.0, rtol=0, atol=1e-5)
+
+
+def test_what_lies_on_the_points_is_free_and_what_has_none_is_held(device: str, rng: np.random.Generator) -> None:
+    held = Held(device, rng, hold=(1.0, 1.0))
+    held.mutual_reach[:] = np.inf
+    held.index["met"][:30] = -1
+    pair = held.index["met"][31:33]
+    held.x[31:33], held.m[31:33] = held.q[pair], held.n[pair]
+    matrix, pull = held.run()
+    np.testing.assert_array_equal(matrix[:30], np.tile(np.eye(3), (30, 1, 1)))
+    np.testing.assert_allclose(pull[:30], held.expected[:30] - held.x[:30], rtol=1e-6)
+    np.testing.assert_allclose(matrix[31:33], 0, atol=1e-6)
+    np.testing.assert_allclose(pull[31:33], 0, atol=1e-5)

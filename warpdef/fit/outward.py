@@ -1,0 +1,94 @@
+"""Long chains held together: where the mesh has left the points, frames are fitted one after the other, outwards.
+
+A chain of grids adds up the errors of its steps. A hundred steps from the keyframe they may be larger than what a
+nearest neighbour tells, and every frame behind is lost with the first. But each step's own grid is good: it takes cloud
+to cloud without the mesh. So from the first frame on that is not covered, each frame starts from its inner neighbour,
+already fitted, moved by the one step between them, and is fitted by a few rounds of the vertex stage before the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from warpdef.fit.objective import Objective
+from warpdef.fit.problem import Problem
+from warpdef.fit.recover import LOST, Cloud, Matches, vertex_normals
+from warpdef.fit.refine import Refinement
+from warpdef.kernels.motion import move_vertices
+from warpdef.kernels.rigidity import fit_rotations
+from warpdef.kernels.schedule import copy_vectors
+
+ROUNDS = 6
+"""Rounds of the vertex stage for a frame before the next starts from it."""
+
+
+def follow_outwards(
+    objective: Objective, refinement: Refinement, threads: int = 1, stopped: Callable[[], object] = bool
+) -> list[int]:
+    """Fit the frames from the first lost one on, on either side of the keyframe, in place; the others stay as they are.
+
+    Args:
+        objective: grids fitted; its ``vertices`` are the start and the result.
+        refinement: the vertex stage of the same problem, not yet started.
+        threads: with two or more both sides are followed at the same time on the CPU; the result is the same bits.
+        stopped: asked before every frame; if true the frames left stay as they are.
+
+    Returns:
+        The frames fitted, ascending.
+    """
+    p, ends = objective.problem, objective.problem.transitions
+    vertices = objective.vertices.numpy().astype(np.float64)
+    given = p.normals.numpy().copy()
+    points, normals = (np.split(a.astype(np.float64), p.cloud_first[1:-1]) for a in (p.cloud.numpy(), given))
+    edges = p.edges.numpy()
+
+    def uncovered(t: int) -> float:
+        sided = bool(p.oriented[t])
+        return Matches(Cloud(points[t], normals[t], sided, sided), p.faces, edges).uncovered(vertices[t])
+
+    bound = 2.0 * uncovered(ends.keyframe) + LOST
+
+    def follow(steps: range) -> list[int]:
+        fitted: list[int] = []
+        for s in steps:
+            source, target = int(ends.source[s]), int(ends.target[s])
+            # Of an incomplete frame what is seen need not hang together: it says nothing.
+            if not fitted and not (p.complete[target] and uncovered(target) > bound):
+                continue
+            if stopped():
+                break
+            places = (objective.vertices, objective.rotation, objective.jacobian)
+            move_vertices(0, p.vertex_count, s, source, target, objective.nodes, objective.levels, *places)
+            if not p.oriented[target]:
+                _choose_sides(p, target, objective.vertices[target].numpy(), points[target], normals[target])
+            _settle(refinement, target)
+            fitted.append(target)
+        return fitted
+
+    copy_vectors(objective.vertices[ends.keyframe], refinement._rest)
+    with ThreadPoolExecutor(2 if threads > 1 and p.device.is_cpu else 1) as pool:
+        sides = list(pool.map(follow, (ends.forward, ends.backward)))
+    p.normals.assign(given)
+    return sorted(t for side in sides for t in side)
+
+
+def _settle(refinement: Refinement, frame: int) -> None:
+    r, o, count = refinement, refinement.objective, refinement.problem.vertex_count
+    if r._expected is not None:
+        copy_vectors(o.vertices[frame], r._expected[frame])  # what is not seen goes with its neighbour's step
+    fit_rotations(frame * count, count, r._row, r._column, r._rest, o.vertices, r._rotation)
+    for _ in range(ROUNDS):
+        r._fit_frames(frame, frame + 1)
+
+
+def _choose_sides(p: Problem, frame: int, vertices: np.ndarray, points: np.ndarray, normals: np.ndarray) -> None:
+    """Normals of unknown side to that of the mesh nearest to them, on the device."""
+    from scipy.spatial import cKDTree
+
+    facing = vertex_normals(vertices.astype(np.float64), p.faces)[cKDTree(vertices).query(points)[1]]
+    turned = np.where((normals * facing).sum(axis=1, keepdims=True) < 0, -normals, normals)
+    begin, end = (int(place) for place in p.cloud_first[frame : frame + 2])
+    p.normals[begin:end].assign(turned.astype(np.float32))
