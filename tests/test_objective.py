@@ -95,8 +95,8 @@ class Toy:
         spacing = np.array([twin_refine.spacing(c) for c in clouds])
         ends = p.template[p.edges.numpy()]
         source, target = p.transitions.source, p.transitions.target
-        between = spacing[source] + spacing[target] + np.maximum(spacing[source], spacing[target])
-        vertex_reach = 2.0 * spacing + 0.5 * np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean()
+        between = 0.75 * (spacing[source] + spacing[target])
+        vertex_reach = spacing + 0.25 * np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean()
         return reference.Scene(
             moved_reach=np.where(p.complete[target], np.inf, between),
             met_reach=np.where(p.complete[source], np.inf, between),

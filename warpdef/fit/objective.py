@@ -32,9 +32,10 @@ from warpdef.kernels.schedule import clear_losses, clear_vectors, confidence
 
 VERTICES_PER_TASK = 1024
 # How far apart a point and its partner's partner may be where a cloud shows part of the surface (``chamfer``): about as
-# far as on a surface that both sets cover.
-_REACH_SPACINGS = 2.0
-_REACH_EDGES = 0.5
+# far as on a surface that both sets cover. Twice that, and the rim of what is seen draws the unseen over, bit by bit.
+_REACH_SPACINGS = 1.0
+_REACH_EDGES = 0.25
+_REACH_CLOUDS = 0.75
 
 
 class Objective:
@@ -111,8 +112,7 @@ class Objective:
             return p.numbers(np.where(p.complete[answered_by], np.inf, spacing))
 
         source, target = p.transitions.source, p.transitions.target
-        here, there = p.spacing[source], p.spacing[target]
-        clouds = here + there + np.maximum(here, there)
+        clouds = _REACH_CLOUDS * (p.spacing[source] + p.spacing[target])
         vertices = _REACH_SPACINGS * p.spacing + _REACH_EDGES * p.edge_length
         self.vertex_sides = self.cloud_to_vertex.index, reach(vertices, np.arange(p.frame_count))
         self._moved_sides = self.cloud_to_moved.index, reach(clouds, target)
