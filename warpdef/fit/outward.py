@@ -18,8 +18,6 @@ from warpdef.fit.problem import Problem
 from warpdef.fit.recover import LOST, Cloud, Matches, vertex_normals
 from warpdef.fit.refine import Refinement
 from warpdef.kernels.motion import move_vertices
-from warpdef.kernels.rigidity import fit_rotations
-from warpdef.kernels.schedule import copy_vectors
 
 ROUNDS = 6
 """Rounds of the vertex stage for a frame before the next starts from it."""
@@ -64,24 +62,15 @@ def follow_outwards(
             move_vertices(0, p.vertex_count, s, source, target, objective.nodes, objective.levels, *places)
             if not p.oriented[target]:
                 _choose_sides(p, target, objective.vertices[target].numpy(), points[target], normals[target])
-            _settle(refinement, target)
+            refinement.settle(target, ROUNDS)
             fitted.append(target)
         return fitted
 
-    copy_vectors(objective.vertices[ends.keyframe], refinement._rest)
+    refinement.take_shape()
     with ThreadPoolExecutor(2 if threads > 1 and p.device.is_cpu else 1) as pool:
         sides = list(pool.map(follow, (ends.forward, ends.backward)))
     p.normals.assign(given)
     return sorted(t for side in sides for t in side)
-
-
-def _settle(refinement: Refinement, frame: int) -> None:
-    r, o, count = refinement, refinement.objective, refinement.problem.vertex_count
-    if r._expected is not None:
-        copy_vectors(o.vertices[frame], r._expected[frame])  # what is not seen goes with its neighbour's step
-    fit_rotations(frame * count, count, r._row, r._column, r._rest, o.vertices, r._rotation)
-    for _ in range(ROUNDS):
-        r._fit_frames(frame, frame + 1)
 
 
 def _choose_sides(p: Problem, frame: int, vertices: np.ndarray, points: np.ndarray, normals: np.ndarray) -> None:

@@ -133,7 +133,7 @@ class Refinement:
     def start(self) -> None:
         """Take the vertices as they are: the shape is the keyframe's, normals of doubtful side get the mesh's side."""
         p, o = self.problem, self.objective
-        copy_vectors(o.vertices[p.transitions.keyframe], self._rest)
+        self.take_shape()
         everything = p.frame_count * p.vertex_count
         fit_rotations(0, everything, self._row, self._column, self._rest, o.vertices, self._rotation)
         vertex_normals(0, everything, self._faces, self._face_row, self._face_of, o.vertices, self._normals)
@@ -191,6 +191,19 @@ class Refinement:
     def frames_lost(self) -> list[int]:
         """Frames a part of whose points the mesh does not cover."""
         return np.flatnonzero(self._fate.numpy() == 2).tolist()
+
+    def take_shape(self) -> None:
+        """The keyframe's vertices are the shape."""
+        copy_vectors(self.objective.vertices[self.problem.transitions.keyframe], self._rest)
+
+    def settle(self, frame: int, rounds: int) -> None:
+        """Fit one frame alone to its cloud and the shape as they are; frames may be settled at the same time."""
+        o, count = self.objective, self.problem.vertex_count
+        if self._expected is not None:
+            copy_vectors(o.vertices[frame], self._expected[frame])  # what is not seen goes with its neighbour's step
+        fit_rotations(frame * count, count, self._row, self._column, self._rest, o.vertices, self._rotation)
+        for _ in range(rounds):
+            self._fit_frames(frame, frame + 1)
 
     def look(self) -> None:
         """Note what the linear solves of the last round did, in ``solves``. Waits for the device."""
