@@ -84,7 +84,11 @@ def read_only(bench: Bench) -> bool:
     bench.place.chmod(0o777)
     if outcome.code == 0:
         return bench.same()
-    return outcome.refused and not bench.out.exists() and bench.go_on().code == 0 and bench.out.exists()
+    if not outcome.refused or bench.out.exists():
+        return False
+    # Before the first checkpoint there is nothing to go on with: another run must do.
+    again = bench.go_on() if bench.checkpoint.exists() else bench.begin()
+    return again.code == 0 and bench.out.exists()
 
 
 def input_gone(bench: Bench) -> bool:
