@@ -138,7 +138,7 @@ def resume_to_folder(resumed: Path, source: Path | None, output: Path | None, ho
     config = dataclasses.replace(saved.config, frames=notes["frames"])
     run = run_to_folder(source, output or resumed, config, how, saved)
     if not run.resumable:
-        unfinished.checkpoint.unlink(missing_ok=True)
+        _drop(unfinished.checkpoint)
     return run
 
 
@@ -221,8 +221,16 @@ def run_to_folder(
             raise
     stopped = bool(result.report.get("stopped"))
     if not stopped:
-        folder.checkpoint.unlink(missing_ok=True)
+        _drop(folder.checkpoint)
     return FinishedRun(result, path, stopped and folder.checkpoint.exists())
+
+
+def _drop(checkpoint: Path) -> None:
+    """Remove what is no longer needed; a folder that allows it no more does not spoil a written result."""
+    try:
+        checkpoint.unlink(missing_ok=True)
+    except OSError as error:
+        say(f"warpdef: {checkpoint} is no longer needed but cannot be removed ({error.strerror}); delete it by hand")
 
 
 def _look_of_template(result: Reconstruction) -> Appearance | None:
