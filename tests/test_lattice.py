@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from warpdef.template import topology
+from warpdef import topology
 from warpdef.template.lattice import (
     _TETRAHEDRA,
     AXES,

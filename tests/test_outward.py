@@ -13,7 +13,7 @@ from warpdef.config import Config
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.outward import follow_outwards
 from warpdef.fit.problem import Problem
-from warpdef.fit.recover import Cloud, Matches
+from warpdef.fit.recover import Cloud, Matches, Surface
 from warpdef.fit.refine import Refinement
 from warpdef.fit.workers import Team, find_device
 
@@ -39,9 +39,9 @@ def lost_chain(team: Team, oriented: bool = True) -> tuple[Optimiser, Refinement
 
 def uncovered(optimiser: Optimiser) -> list[float]:
     p, vertices = optimiser.problem, optimiser.objective.vertices.numpy().astype(np.float64)
-    edges = p.edges.numpy()
+    surface = Surface.of(p.faces, p.edges.numpy())
     clouds = [Cloud(c, n, True, True) for c, n in zip(BODY.clouds, BODY.normals, strict=True)]
-    return [Matches(c, p.faces, edges).uncovered(v) for c, v in zip(clouds, vertices, strict=True)]
+    return [Matches(c, surface).uncovered(v) for c, v in zip(clouds, vertices, strict=True)]
 
 
 @pytest.mark.parametrize("oriented", [True, False])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import icosphere, sample_surface
 
-from warpdef.fit.recover import Cloud, Matches, recover
+from warpdef.fit.recover import Cloud, Matches, Surface, recover
 from warpdef.mesh import unique_edges
 
 DEGREE = np.pi / 180
@@ -53,7 +53,7 @@ def test_a_leg_on_the_wrong_leg_is_found(swing, oriented):
     # What nearest neighbours make of it: the second leg where the first one should be, and the other way round.
     wrong = truth.copy()
     wrong[1], _ = body((0.0, 6 * DEGREE))
-    assert Matches(clouds[1], faces, edges).uncovered(wrong[1]) > 0.05
+    assert Matches(clouds[1], Surface.of(faces, edges)).uncovered(wrong[1]) > 0.05
     before = wrong[0].copy()
     assert recover(wrong, clouds, faces, edges, keyframe=0) == ([1], [])
     np.testing.assert_array_equal(wrong[0], before)
@@ -126,7 +126,7 @@ def test_every_object_counts_by_itself(swing):
     both = np.concatenate([truth[0], small])
     both_faces = np.concatenate([faces, faces + len(small)])
     cloud = cloud_of(both, both_faces, 0)
-    matches = Matches(cloud, both_faces, unique_edges(both_faces))
+    matches = Matches(cloud, Surface.of(both_faces, unique_edges(both_faces)))
     trusted, goal, normal = matches.find(both)
     assert len(trusted) == len(goal) == len(normal)
     assert (trusted >= len(small)).sum() > 0.8 * len(small)
@@ -138,8 +138,8 @@ def test_matches_of_a_flat_patch_keep_their_sides(swing):
     truth, faces = swing
     right = cloud_of(truth[0], faces, 0)
     turned = Cloud(right.points, -right.normals, True, True)
-    edges = unique_edges(faces)
-    assert len(Matches(turned, faces, edges).find(truth[0])[0]) < 0.05 * len(truth[0])
-    assert Matches(turned, faces, edges).uncovered(truth[0]) > 0.9
+    surface = Surface.of(faces, unique_edges(faces))
+    assert len(Matches(turned, surface).find(truth[0])[0]) < 0.05 * len(truth[0])
+    assert Matches(turned, surface).uncovered(truth[0]) > 0.9
     unknown = Cloud(right.points, -right.normals, False, False)
-    assert Matches(unknown, faces, edges).uncovered(truth[0]) < 0.01
+    assert Matches(unknown, surface).uncovered(truth[0]) < 0.01

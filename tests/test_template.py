@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from synthetic import icosphere
 
+from warpdef import topology
 from warpdef.config import Config, KeyframeConfig, TemplateConfig
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.mesh import TriMesh
 from warpdef.template import build as building
 from warpdef.template import choose as template
-from warpdef.template import poisson, quality, topology
+from warpdef.template import poisson, quality
 
 SMALL = TemplateConfig(faces_max=1500)
 

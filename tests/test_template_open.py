@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from synthetic import icosphere, sample_surface
 
+from warpdef import topology
 from warpdef.config import TemplateConfig
 from warpdef.template import build as building
-from warpdef.template import clusters, topology
+from warpdef.template import clusters
 from warpdef.template.cut import cut_at_zero
 from warpdef.template.support import Support, border_points, point_areas
 from warpdef.template.trim import find_trimming

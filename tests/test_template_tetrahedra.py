@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from warpdef import topology
 from warpdef.config import Config, TemplateConfig
 from warpdef.errors import InputError
-from warpdef.template import signed_distance, tetrahedra, topology
+from warpdef.template import signed_distance, tetrahedra
 from warpdef.template.build import build
 from warpdef.template.choose import choose_template
 from warpdef.template.signed_distance import OrientedCloud

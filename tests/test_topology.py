@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import icosphere
 
-from warpdef.template import topology
+from warpdef import topology
 
 
 def torus(n: int = 24, m: int = 12) -> tuple[np.ndarray, np.ndarray]:

@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from warpdef.sequence import MIN_POINTS, PointSequence, name_frames
+from warpdef.topology import component_labels
 
 NEIGHBOURS = 8  # whose farthest gives the local spacing: sqrt(8 a / pi) on a surface with area a a point
 # Longest link, in local spacings; how many times its neighbours' spacing that of a point counts at most, so that strays
@@ -75,17 +76,13 @@ def _hangs_together(
     points: np.ndarray, distance: np.ndarray, index: np.ndarray, spacing: np.ndarray, rule: tuple[float, float, int]
 ) -> np.ndarray:
     """Points of the main cluster and of other objects, shape (N,) bool."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     link, growth, rounds = rule
     calm = spacing
     for _ in range(rounds):
         calm = np.minimum(spacing, growth * calm[index[:, :NEIGHBOURS]].min(axis=1))
     linked = distance <= link * np.minimum(calm[:, None], calm[index])
     rows = np.repeat(np.arange(len(points)), linked.sum(axis=1))
-    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, index[linked])), shape=(len(points),) * 2)
-    labels = connected_components(graph, directed=False)[1]
+    labels = component_labels(rows, index[linked], len(points))
     size = np.bincount(labels)
     main = int(size.argmax())
     usual = float(np.median(spacing[labels == main]))

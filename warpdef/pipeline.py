@@ -23,7 +23,6 @@ from warpdef.errors import InputError
 from warpdef.files import read_mesh
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
-from warpdef.fit.outward import follow_outwards
 from warpdef.fit.problem import Problem
 from warpdef.fit.refine import Refinement
 from warpdef.fit.run import FitRun
@@ -130,17 +129,14 @@ def reconstruct(
             facts = lasting_facts(sequence, config, chosen, notes or {}, resumed)
             saver = Saver(checkpoint, checkpoint_seconds, facts, mesh, clock)
             show = _with_meshes(tell, optimiser.objective, mesh.faces, into, sequence)
-            run = FitRun(optimiser, refinement, Limits(interruption, clock, seconds_max), saver, show)
+            limits = Limits(interruption, clock, seconds_max)
+            run = FitRun(optimiser, refinement, team.size, limits, saver, show)
             if saved is not None:
                 run.restore(saved)
             with clock.phase("optimise"):
                 run.descend()
             # Beyond the paper: every vertex of every frame on its own, and one shape for all frames.
-            followed: list[int] = []
             with clock.phase("refine"):
-                if refinement is not None and not refinement.done and config.refine.recover:
-                    # Where the chain has left the points: frame after frame from where it has not.
-                    followed = follow_outwards(optimiser.objective, refinement, team.size, run.limits.reason)
                 run.refine()
         vertices = optimiser.objective.placed_vertices()
         vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces)
@@ -154,8 +150,6 @@ def reconstruct(
     result.appearance = None if template is None else template.appearance
     result.report = _report(sequence, chosen, run, team.size, clock, estimate)
     result.report |= {"interrupted": interruption.asked, "resumed": resumed}
-    if refinement is not None:
-        result.report["refine"]["frames_followed"] = [sequence.numbers[t] for t in followed]
     return result
 
 
@@ -202,17 +196,19 @@ def _report(
 ) -> dict:
     optimiser, refinement = run.optimiser, run.refinement
     device = optimiser.problem.device
-    stages = {"sobolev": optimiser.solves}
+    stages, vertex_stage = {"sobolev": optimiser.solves}, None
     warnings = [*sequence.warnings, *chosen.warnings, *run.warnings]
     warnings += optimiser.solves.warning("sobolev.iterations_max")
     if refinement is not None:
         stages["refine"] = refinement.solves
         warnings += refinement.solves.warning("refine.iterations_max")
-        numbers = sequence.numbers
-        recovered = [numbers[t] for t in refinement.frames_recovered]
-        lost = [numbers[t] for t in refinement.frames_lost]
+        recovered, lost, followed = (
+            [sequence.numbers[t] for t in found]
+            for found in (refinement.frames_recovered, refinement.frames_lost, run.followed)
+        )
         if lost:
             warnings.append(f"part of the points is not covered by the mesh in {name_frames(lost)}")
+        vertex_stage = {**refinement.as_dict(), "frames_recovered": recovered, "frames_followed": followed}
     return {
         "versions": {"warpdef": warpdef.__version__, "warp": wp.__version__, "python": platform.python_version()},
         "device": {"name": device.name, "alias": device.alias},
@@ -232,7 +228,7 @@ def _report(
         "iterations": optimiser.done,
         "stopped": run.stopped or None,
         "losses": {key: value for key, value in (run.steps[-1] if run.steps else {}).items() if key != "iteration"},
-        "refine": None if refinement is None else {**refinement.as_dict(), "frames_recovered": recovered},
+        "refine": vertex_stage,
         "solver": {stage: solves.as_dict() for stage, solves in stages.items()},
         "seconds": dict(clock.seconds),
         "memory_estimate_mb": round(estimate.total / 2**20, 1),

@@ -6,17 +6,12 @@ import numpy as np
 
 from warpdef.apps.benchmark.peers import add_rows
 from warpdef.kernels.graphs import Graph
+from warpdef.topology import vertex_normals
 
 
 def vertex_normals_numpy(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Area-weighted unit normals, (T, V, 3)."""
-    found = []
-    for x in vertices:
-        a, b, c = (x[faces[:, k]] for k in range(3))
-        area = np.cross(b - a, c - a)
-        total = add_rows(faces.T.ravel(), np.tile(area, (3, 1)), len(x))
-        found.append(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30))
-    return np.stack(found)
+    return np.stack([vertex_normals(x, faces) for x in vertices])
 
 
 def planes_numpy(

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from warpdef import topology
 from warpdef.datasets.mesh_folders import mesh_folder, name_problems
 from warpdef.datasets.sequences import TrueSequence
 from warpdef.files.frame_files import MESH_SUFFIXES, find_frames, frame_files
 from warpdef.mesh import TriMesh
-from warpdef.template import topology
 
 _SHOWN = 5  # frames in a message
 

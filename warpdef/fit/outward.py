@@ -15,9 +15,11 @@ import numpy as np
 
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import Problem
-from warpdef.fit.recover import LOST, Cloud, Matches, vertex_normals
+from warpdef.fit.recover import Cloud, Matches, Surface, lost_above
 from warpdef.fit.refine import Refinement
 from warpdef.kernels.motion import move_vertices
+from warpdef.template.normals import turned_to
+from warpdef.topology import vertex_normals
 
 ROUNDS = 6
 """Rounds of the vertex stage for a frame before the next starts from it."""
@@ -40,14 +42,14 @@ def follow_outwards(
     p, ends = objective.problem, objective.problem.transitions
     vertices = objective.vertices.numpy().astype(np.float64)
     given = p.normals.numpy().copy()
-    points, normals = (np.split(a.astype(np.float64), p.cloud_first[1:-1]) for a in (p.cloud.numpy(), given))
-    edges = p.edges.numpy()
+    points, normals = p.by_frame(p.cloud.numpy()), p.by_frame(given)
+    surface = Surface.of(p.faces, p.edges.numpy())
 
     def uncovered(t: int) -> float:
         sided = bool(p.oriented[t])
-        return Matches(Cloud(points[t], normals[t], sided, sided), p.faces, edges).uncovered(vertices[t])
+        return Matches(Cloud(points[t], normals[t], sided, sided), surface).uncovered(vertices[t])
 
-    bound = 2.0 * uncovered(ends.keyframe) + LOST
+    bound = lost_above(uncovered(ends.keyframe))
 
     def follow(steps: range) -> list[int]:
         fitted: list[int] = []
@@ -78,6 +80,5 @@ def _choose_sides(p: Problem, frame: int, vertices: np.ndarray, points: np.ndarr
     from scipy.spatial import cKDTree
 
     facing = vertex_normals(vertices.astype(np.float64), p.faces)[cKDTree(vertices).query(points)[1]]
-    turned = np.where((normals * facing).sum(axis=1, keepdims=True) < 0, -normals, normals)
     begin, end = (int(place) for place in p.cloud_first[frame : frame + 2])
-    p.normals[begin:end].assign(turned.astype(np.float32))
+    p.normals[begin:end].assign(turned_to(normals, facing).astype(np.float32))

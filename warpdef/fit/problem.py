@@ -19,6 +19,7 @@ from warpdef.fit.morton import morton_order
 from warpdef.kernels.graphs import Graph, kept_nodes, mesh_graph
 from warpdef.kernels.levels import LevelTable
 from warpdef.mesh import unique_edges
+from warpdef.topology import face_areas
 
 _NEIGHBOURS = 16  # of a point, for the local shape of its cloud
 COMPLETE = 0.87
@@ -151,9 +152,7 @@ class Problem:
     @cached_property
     def complete(self) -> np.ndarray:
         """Which frames show all of the surface, by their area, shape (T,) bool."""
-        area = self._local_shape[2]
-        a, b, c = (self.template[self.faces[:, k]] for k in range(3))
-        whole = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+        area, whole = self._local_shape[2], float(face_areas(self.template, self.faces).sum())
         # Noise adds to a cloud's area: what exceeds the template's says nothing.
         least = max(COMPLETE * min(area.max(), whole), COMPLETE_TEMPLATE * whole)
         return (area >= least) | (self.cloud_sizes < _JUDGED)
@@ -196,6 +195,10 @@ class Problem:
             area = np.pi * (distance[:, -1] ** 2).sum() / max(distance.shape[1] - 1, 1)
             found.append((distance[:, 1].mean(), thin / max(wide, 1e-12), area))
         return np.array(found).T
+
+    def by_frame(self, a: np.ndarray) -> list[np.ndarray]:
+        """Rows of all clouds, (N, 3), as float64 by frame."""
+        return np.split(a.astype(np.float64), self.cloud_first[1:-1])
 
     @property
     def vertex_count(self) -> int:

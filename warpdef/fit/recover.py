@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpdef.fit.embedded import DeformationGraph, Pose
-from warpdef.template.normals import estimate_normals, repair_normals
+from warpdef.template.normals import estimate_normals, repair_normals, turned_to
+from warpdef.topology import component_labels, vertex_normals
 
 NODES = 400
 """Nodes of the deformation graph."""
@@ -49,34 +50,46 @@ class Cloud:
         if self.given:
             normals, _ = repair_normals(self.points, self.normals)
         else:
-            outward = estimate_normals(self.points)
-            normals = np.where((self.normals * outward).sum(axis=1, keepdims=True) < 0, -self.normals, self.normals)
+            normals = turned_to(self.normals, estimate_normals(self.points))
         return Cloud(self.points, normals, self.given, oriented=True)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """faces: (F, 3). edges: (E, 2), each once. component: which connected component a vertex is in (V,)."""
+
+    faces: np.ndarray
+    edges: np.ndarray
+    component: np.ndarray
+
+    @classmethod
+    def of(cls, faces: np.ndarray, edges: np.ndarray) -> Surface:
+        return cls(faces, edges, component_labels(*edges.T, int(max(faces.max(), edges.max())) + 1))
 
 
 class Matches:
     """Which vertices of a mesh lie on a cloud, in one connected part of the mesh."""
 
-    def __init__(self, cloud: Cloud, faces: np.ndarray, edges: np.ndarray) -> None:
+    def __init__(self, cloud: Cloud, surface: Surface) -> None:
         from scipy.spatial import cKDTree
 
-        self.cloud, self.faces, self.edges = cloud, faces, edges
-        self.component = _components(edges, int(max(faces.max(), edges.max())) + 1)
+        self.cloud, self.surface = cloud, surface
         self.tree = cKDTree(cloud.points)
         self.reach = REACH * float(np.median(self.tree.query(cloud.points, k=2)[0][:, 1]))
 
     def find(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Trusted vertices (m,), the points (m, 3) nearest to them and their normals (m, 3)."""
+        s = self.surface
         distance, nearest = self.tree.query(vertices)
-        cosine = (vertex_normals(vertices, self.faces) * self.cloud.normals[nearest]).sum(axis=1)
+        cosine = (vertex_normals(vertices, s.faces) * self.cloud.normals[nearest]).sum(axis=1)
         on = (distance < self.reach) & ((cosine if self.cloud.oriented else np.abs(cosine)) > AGREEMENT)
-        kept = self.edges[on[self.edges].all(axis=1)]
-        part = _components(kept, len(vertices))
+        kept = s.edges[on[s.edges].all(axis=1)]
+        part = component_labels(*kept.T, len(vertices))
         # A separate object is no lost limb: of every component of the mesh the largest part counts.
         size = np.bincount(part[on], minlength=part.max() + 1)
-        largest = np.zeros(self.component.max() + 1, dtype=int)
-        np.maximum.at(largest, self.component[on], size[part[on]])
-        trusted = np.flatnonzero(on & (size[part] == largest[self.component]))
+        largest = np.zeros(s.component.max() + 1, dtype=int)
+        np.maximum.at(largest, s.component[on], size[part[on]])
+        trusted = np.flatnonzero(on & (size[part] == largest[s.component]))
         return trusted, self.cloud.points[nearest[trusted]], self.cloud.normals[nearest[trusted]]
 
     def uncovered(self, vertices: np.ndarray) -> float:
@@ -88,10 +101,15 @@ class Matches:
             return 1.0
         distance, nearest = cKDTree(vertices[trusted]).query(self.cloud.points)
         # The middle of a triangle is up to 0.6 of its longest edge away from its corners.
-        around = np.zeros(len(vertices))
-        length = np.linalg.norm(vertices[self.edges[:, 0]] - vertices[self.edges[:, 1]], axis=1)
-        np.maximum.at(around, self.edges, length[:, None])
+        around, edges = np.zeros(len(vertices)), self.surface.edges
+        length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+        np.maximum.at(around, edges, length[:, None])
         return float(np.mean(distance > self.reach + 0.6 * around[trusted][nearest]))
+
+
+def lost_above(keyframe_uncovered: float) -> float:
+    """Uncovered share of points above which a frame has lost something."""
+    return 2.0 * keyframe_uncovered + LOST
 
 
 def recover(
@@ -106,9 +124,10 @@ def recover(
     Returns:
         Frames recovered, and frames that stay lost.
     """
-    matches = [Matches(cloud, faces, edges) for cloud in clouds]
+    surface = Surface.of(faces, edges)
+    matches = [Matches(cloud, surface) for cloud in clouds]
     uncovered = [m.uncovered(v) for m, v in zip(matches, vertices, strict=True)]
-    bound = 2.0 * uncovered[keyframe] + LOST
+    bound = lost_above(uncovered[keyframe])
     recovered, lost = [], []
     graph = None
     for side in (range(keyframe + 1, len(clouds)), range(keyframe - 1, -1, -1)):
@@ -119,7 +138,7 @@ def recover(
             if uncovered[inner] <= _NOTHING:
                 graph = graph or DeformationGraph.build(vertices[keyframe], edges, NODES)
                 if not clouds[t].oriented:
-                    matches[t] = Matches(clouds[t].turned_outwards(), faces, edges)
+                    matches[t] = Matches(clouds[t].turned_outwards(), surface)
                     uncovered[t] = matches[t].uncovered(vertices[t])
                 again = _bend(graph, vertices[inner], matches[t])
                 left = matches[t].uncovered(again)
@@ -143,22 +162,3 @@ def _bend(graph: DeformationGraph, rest: np.ndarray, matches: Matches) -> np.nda
         if np.abs(placed - before).max() < _STILL * matches.reach:
             break
     return placed
-
-
-def _components(edges: np.ndarray, count: int) -> np.ndarray:
-    """Number of the connected component of each of ``count`` vertices."""
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    linked = csr_matrix((np.ones(len(edges)), tuple(edges.T)), shape=(count, count))
-    return connected_components(linked, directed=False)[1]
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3), weighted by area; zero where all faces around are degenerate."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    across = np.cross(b - a, c - a)
-    total = np.stack(
-        [np.bincount(faces.ravel(), np.repeat(across[:, k], 3), minlength=len(vertices)) for k in range(3)], axis=1
-    )
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)

@@ -165,9 +165,7 @@ class Refinement:
     def _recover(self) -> None:
         p, o = self.problem, self.objective
         vertices = o.vertices.numpy().astype(np.float64)
-        points, normals = (
-            np.split(a.astype(np.float64), p.cloud_first[1:-1]) for a in (p.cloud.numpy(), self._given_normals)
-        )
+        points, normals = p.by_frame(p.cloud.numpy()), p.by_frame(self._given_normals)
         clouds = [Cloud(*frame) for frame in zip(points, normals, p.oriented, self._doubtful.numpy() == 0, strict=True)]
         # Of an incomplete frame what is seen need not hang together: it says nothing of limbs lost.
         judged = np.flatnonzero(p.complete | (np.arange(p.frame_count) == p.transitions.keyframe))

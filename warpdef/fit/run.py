@@ -15,6 +15,7 @@ import warp as wp
 
 from warpdef.errors import WarpdefError
 from warpdef.fit.optimise import Optimiser
+from warpdef.fit.outward import follow_outwards
 from warpdef.fit.refine import Refinement
 from warpdef.fit.saving import Saved, Saver
 from warpdef.fit.sobolev import SolveReport
@@ -30,16 +31,24 @@ class FitRun:
     """A run of the grid stage and, where there is one, of the vertex stage.
 
     steps: the loss curve, a record a look. warnings: what went wrong and how it went on.
+    followed: frames that the chain of grids had lost, fitted one after the other (``outward``).
     stopped: why the run ended before its time; empty if it did not.
     """
 
     def __init__(
-        self, optimiser: Optimiser, refinement: Refinement | None, limits: Limits, saver: Saver, tell: Callback
+        self,
+        optimiser: Optimiser,
+        refinement: Refinement | None,
+        threads: int,
+        limits: Limits,
+        saver: Saver,
+        tell: Callback,
     ) -> None:
-        self.optimiser, self.refinement = optimiser, refinement
+        self.optimiser, self.refinement, self.threads = optimiser, refinement, threads
         self.limits, self.saver, self.tell = limits, saver, tell
         self.steps: list[dict[str, float]] = []
         self.warnings: list[str] = []
+        self.followed: list[int] = []
         self.stopped = ""
         self._undone = 0  # in a row
         self._refining = False
@@ -117,8 +126,12 @@ class FitRun:
             return
         reason = self.limits.reason()
         if not self._refining and not reason:
-            r.start()
-            self._refining = True
+            if r.config.recover:
+                self.followed = follow_outwards(self.optimiser.objective, r, self.threads, self.limits.reason)
+                reason = self.limits.reason()
+            if not reason:
+                r.start()
+                self._refining = True
         good = {name: wp.clone(array) for name, array in r.state().items()}
         rounds = r.config.iterations
         while r.done < rounds and not reason:
@@ -161,6 +174,7 @@ class FitRun:
             "rounds": r.done if r is not None and self._refining else None,
             "steps": self.steps,
             "warnings": self.warnings,
+            "followed": self.followed,
             "solves": [asdict(s.solves) for s in (o, r) if s is not None],
         }
         arrays = {f"grids.{name}": a for name, a in o.kept().items()}
@@ -176,6 +190,7 @@ class FitRun:
         self.optimiser.restore(saved.part("grids"), facts["rate_scale"])
         self.steps, self._undone = list(facts["steps"]), facts["undone"]
         self.warnings = [*facts["warnings"], *saved.warnings()]
+        self.followed = list(facts.get("followed", ()))
         for stage, solves in zip((self.optimiser, self.refinement), facts["solves"], strict=False):
             if stage is not None:
                 stage.solves = SolveReport(**solves)

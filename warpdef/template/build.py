@@ -8,10 +8,10 @@ from functools import partial
 
 import numpy as np
 
+from warpdef import topology
 from warpdef.config import TemplateConfig
 from warpdef.errors import InputError
 from warpdef.mesh import TriMesh
-from warpdef.template import topology
 from warpdef.template.clusters import point_clusters
 from warpdef.template.cut import cut_at_zero
 from warpdef.template.normals import estimate_normals, repair_normals

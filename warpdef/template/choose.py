@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warpdef import topology
 from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.mesh import TriMesh
-from warpdef.template import topology
 from warpdef.template.build import FLIPPED_WARN, TemplateReport, build
 from warpdef.template.keyframe import rank_keyframes, spread_out
 from warpdef.template.poisson import load_backend

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from warpdef.template.support import point_areas
+from warpdef.topology import component_labels
 
 LINK_NEIGHBOURS = 32
 LINK_REACH = 3.0  # in sqrt(area of a point), twice the widest gap that a random cloud shows now and then
@@ -19,8 +20,6 @@ def point_clusters(points: np.ndarray) -> np.ndarray:
     Args:
         points: shape (N, 3), free of outliers.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     count = min(LINK_NEIGHBOURS, len(points) - 1)
@@ -29,8 +28,7 @@ def point_clusters(points: np.ndarray) -> np.ndarray:
     # The sparser of the two decides: density may change along a surface.
     linked = distance <= np.maximum(reach[:, None], reach[index])
     rows = np.repeat(np.arange(len(points)), linked.sum(axis=1))
-    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, index[linked])), shape=(len(points),) * 2)
-    labels = connected_components(graph, directed=False)[1]
+    labels = component_labels(rows, index[linked], len(points))
     size = np.bincount(labels)
     order = np.argsort(-size, kind="stable")
     objects = max(int((size >= OBJECT_SHARE * len(points)).sum()), 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpdef.template import topology
+from warpdef import topology
 
 SNAP = 0.35  # a vertex nearer to the contour than this share of an edge is moved onto it
 

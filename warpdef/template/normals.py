@@ -22,6 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpdef.topology import component_labels
+
 CELL_SPACINGS = 1.0  # grid cell, in mean point spacings
 SMOOTH_CELLS = 0.85  # Gaussian on the grid, standard deviation in cells
 CELLS_MAX = 6_000_000  # beyond, the cell grows: 0.4 GB
@@ -76,7 +78,7 @@ def _detail(near: _Neighbourhood, side: np.ndarray) -> np.ndarray:
     """Local planes through the neighbours of the same side, where they are clear; ``side`` where they are not."""
     same_side = np.maximum(np.einsum("ni,nki->nk", side, side[near.index]), 0.0)
     normals, clarity = _fit_planes(near.points, near.index, same_side)
-    normals *= np.where((normals * side).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    normals = turned_to(normals, side)
     clarity = (clarity**2)[:, None]
     return _unit(clarity * normals + (1.0 - clarity) * side)
 
@@ -114,6 +116,11 @@ def _walk(near: _Neighbourhood, side: np.ndarray) -> np.ndarray:
     return normals * (sign * np.where(votes[piece] < 0, -1.0, 1.0))[:, None]
 
 
+def turned_to(normals: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """``normals``, each turned over where it opposes the one of ``side``; both (N, 3)."""
+    return np.where((normals * side).sum(axis=1, keepdims=True) < 0, -normals, normals)
+
+
 def repair_normals(points: np.ndarray, normals: np.ndarray, neighbours: int = 16) -> tuple[np.ndarray, int]:
     """Turn over given normals that clearly point inwards; directions are kept.
 
@@ -129,9 +136,6 @@ def repair_normals(points: np.ndarray, normals: np.ndarray, neighbours: int = 16
     Returns:
         normals, shape (N, 3) float64, and how many of them were turned over.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     given = np.array(normals, dtype=np.float64)
     near = _Neighbourhood.of(points, neighbours)
     estimate = estimate_normals(points, neighbours)
@@ -143,8 +147,8 @@ def repair_normals(points: np.ndarray, normals: np.ndarray, neighbours: int = 16
         i, j = near.edges()
         agreement, flatness = _agreement(near.points, sign[:, None] * given, i, j)
         inner = doubted[i] & doubted[j] & (agreement > 0)
-        graph = coo_matrix((np.ones(inner.sum()), (i[inner], j[inner])), shape=(len(given), len(given)))
-        count, patch = connected_components(graph, directed=False)
+        patch = component_labels(i[inner], j[inner], len(given))
+        count = int(patch.max()) + 1
         border = doubted[i] != doubted[j]
         owner = np.where(doubted[i], patch[i], patch[j])[border]
         fit = np.bincount(owner, (flatness * agreement)[border], minlength=count)

@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from warpdef import topology
 from warpdef.config import TemplateConfig
 from warpdef.mesh import TriMesh
-from warpdef.template import topology
 from warpdef.template.clusters import point_clusters
 
 SAMPLES = 20_000

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpdef.template import topology
+from warpdef import topology
 from warpdef.template.support import Support, border_points
 
 OPENING_POINTS = 12.0  # least size of an opening, in areas of a point

@@ -45,24 +45,23 @@ def triangle_quality(vertices: np.ndarray, faces: np.ndarray) -> float:
     return float((4.0 * np.sqrt(3.0) * face_areas(vertices, faces) / np.maximum(edges_sq, 1e-300)).mean())
 
 
-def face_components(faces: np.ndarray) -> np.ndarray:
-    """Label of the component (joined by shared vertices) that each face belongs to, shape (F,)."""
+def component_labels(i: np.ndarray, j: np.ndarray, count: int) -> np.ndarray:
+    """Connected components of ``count`` nodes joined by links i - j, both (L,): each node's, numbered from 0."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    count = int(faces.max()) + 1
-    i = faces[:, [0, 1]].ravel()
-    j = faces[:, [1, 2]].ravel()
     graph = coo_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(count, count))
-    labels = connected_components(graph, directed=False)[1][faces[:, 0]]
+    return connected_components(graph, directed=False)[1]
+
+
+def face_components(faces: np.ndarray) -> np.ndarray:
+    """Label of the component (joined by shared vertices) that each face belongs to, shape (F,)."""
+    labels = component_labels(faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel(), int(faces.max()) + 1)[faces[:, 0]]
     return np.unique(labels, return_inverse=True)[1]
 
 
 def separate_touching(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Give every fan of faces a vertex of its own, where several meet in one vertex without sharing an edge."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     # Corners are joined where two faces share an edge, at both of its ends.
     corner = np.arange(faces.size).reshape(-1, 3)
     start, end = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
@@ -74,21 +73,16 @@ def separate_touching(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarr
     same = np.flatnonzero(np.diff(key[order]) == 0)
     i, j = order[same], order[same + 1]
     rows, columns = np.concatenate([at_low[i], at_high[i]]), np.concatenate([at_low[j], at_high[j]])
-    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(faces.size, faces.size))
-    fan = connected_components(graph, directed=False)[1]
+    fan = component_labels(rows, columns, faces.size)
     first = np.unique(fan, return_index=True)[1]
     return vertices[faces.ravel()[first]], fan.reshape(-1, 3).astype(np.int32)
 
 
 def vertex_components(faces: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """Label of the connected patch of ``chosen`` (V,) bool vertices that each vertex is in, -1 for the others; (V,)."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges = edges[chosen[edges].all(axis=1)]
-    graph = coo_matrix((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(len(chosen),) * 2)
-    labels = connected_components(graph, directed=False)[1]
+    labels = component_labels(edges[:, 0], edges[:, 1], len(chosen))
     labels[~chosen] = -1
     labels[chosen] = np.unique(labels[chosen], return_inverse=True)[1]
     return labels
@@ -103,16 +97,11 @@ def boundary_edges(faces: np.ndarray) -> np.ndarray:
 
 def boundary_loops(faces: np.ndarray) -> int:
     """Number of closed curves that the boundary consists of; loops that share a vertex count as one."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     edges = boundary_edges(faces)
     if len(edges) == 0:
         return 0
     used, edges = np.unique(edges, return_inverse=True)
-    i, j = edges.reshape(-1, 2).T
-    graph = coo_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(len(used),) * 2)
-    return int(connected_components(graph, directed=False)[0])
+    return int(component_labels(*edges.reshape(-1, 2).T, len(used)).max()) + 1
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
