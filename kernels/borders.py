@@ -72,8 +72,7 @@ def _vertex_borders(
         if wp.length_sq(pair_plane(cloud_normals[j], vertex_normals[i], agreement, share)) > 0.0:
             d = vertices[i] - cloud[j]
             w = stiffness * pair_weight(d, reach[t])
-            if back.shape[0] > 0 and back[j] >= 0:
-                w *= mutual_weight(vertices[i], vertices[back[j]], mutual_reach[t])
+            w *= mutual_weight(vertices, i, back, j, mutual_reach, t)
             matrix_out[i] = matrix_out[i] + w * wp.outer(b, b)
             pull_out[i] = pull_out[i] + (w * (gap[t] - wp.dot(b, d))) * b
 

@@ -33,10 +33,24 @@ def robust_weight(r_sq: float, alpha: float, power: int) -> float:
 
 
 @wp.func
-def mutual_weight(asked: wp.vec3, answered: wp.vec3, reach: float) -> float:
-    """1 for partners that choose each other, 1/e at ``reach`` apart; exactly 1 for an infinite reach."""
-    x = wp.length_sq(answered - asked) / (reach * reach)
-    return wp.exp(-x * x)
+def mutual_weight(
+    points: wp.array(dtype=wp.vec3),
+    i: int,
+    back: wp.array(dtype=wp.int32),
+    j: int,
+    reach: wp.array(dtype=wp.float32),
+    s: int,
+) -> float:
+    """Of the pair of point i with point j of the other set: 1 for partners that choose each other, 1/e at reach[s].
+
+    ``back``: the nearest of ``points`` to each of the other set, -1 for none; empty where every pair counts. No way back
+    and an infinite reach give exactly 1.
+    """
+    w = float(1.0)
+    if back.shape[0] > 0 and back[j] >= 0:
+        x = wp.length_sq(points[back[j]] - points[i]) / (reach[s] * reach[s])
+        w = wp.exp(-x * x)
+    return w
 
 
 @wp.func
@@ -79,8 +93,7 @@ def _moving_to_fixed(
         s = slot[i]
         r = moving[i] - fixed[j]
         w = robust_weight(wp.length_sq(r), alpha, power) * share[s]
-        if back.shape[0] > 0 and back[j] >= 0:
-            w *= mutual_weight(moving[i], moving[back[j]], mutual_reach[s])
+        w *= mutual_weight(moving, i, back, j, mutual_reach, s)
         wp.atomic_add(loss_out, s, wp.float64(w * residual_energy(r, normals[j], tangential)))
         adj = adj_residual_energy(r, normals[j], tangential, w * weight[s])
     adj_moving_out[i] = adj
@@ -113,8 +126,7 @@ def _fixed_to_moving(
         s = slot[i]
         r = moving[j] - fixed[i]
         w = robust_weight(wp.length_sq(r), alpha, power) * share[s]
-        if back.shape[0] > 0 and back[j] >= 0:
-            w *= mutual_weight(fixed[i], fixed[back[j]], mutual_reach[s])
+        w *= mutual_weight(fixed, i, back, j, mutual_reach, s)
         wp.atomic_add(loss_out, s, wp.float64(w * residual_energy(r, normals[i], tangential)))
         wp.atomic_add(adj_moving_out, j, adj_residual_energy(r, normals[i], tangential, w * weight[s]))
 

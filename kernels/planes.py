@@ -87,8 +87,7 @@ def _vertex_planes(
         d = vertices[i] - cloud[j]
         a = pair_plane(cloud_normals[j], vertex_normals[i], agreement, share)
         w = pair_weight(d, reach[vertex_frame[i]])
-        if back.shape[0] > 0 and back[j] >= 0:
-            w *= mutual_weight(vertices[i], vertices[back[j]], mutual_reach[vertex_frame[i]])
+        w *= mutual_weight(vertices, i, back, j, mutual_reach, vertex_frame[i])
         matrix = w * wp.outer(a, a)
         pull = (-w * wp.dot(a, d)) * a
     matrix_out[i] = matrix

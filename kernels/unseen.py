@@ -88,8 +88,7 @@ def _hold_unseen(
         if j >= 0:
             a = pair_plane(cloud_normals[j], vertex_normals[i], agreement, share)
             seen = wp.length_sq(a) * pair_weight(vertices[i] - cloud[j], reach[t])
-            if back[j] >= 0:
-                seen *= mutual_weight(vertices[i], vertices[back[j]], mutual_reach[t])
+            seen *= mutual_weight(vertices, i, back, j, mutual_reach, t)
         h = hold[t] * wp.max(1.0 - seen, 0.0)
         matrix_out[i] = matrix_out[i] + h * wp.identity(n=3, dtype=float)
         pull_out[i] = pull_out[i] + h * (expected[i] - vertices[i])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import reference_refine as twin
 import warp as wp
-from gradients import assert_gradients_close
+import witness_refine
+from gradients import assert_gradients_close, finite_differences
 from test_planes import AGREEMENT, SHARE, Scene, put, spans
 
 from warpdef.kernels.unseen import expected_places, hold_unseen
@@ -71,20 +72,50 @@ class Held(Scene):
         return tuple(a.numpy() for a in sums)
 
     def twin(self) -> tuple[np.ndarray, np.ndarray]:
+        """h u of every vertex (V,), and where it stands from the place expected of it (V, 3)."""
         pairs, seen = self.planes("met"), np.zeros(self.count)
         seen[pairs.owner] = pairs.w * (pairs.a != 0).any(axis=1)
-        h = self.hold[self.frame["met"]] * (1 - seen)
-        return h[:, None, None] * np.eye(3), h[:, None] * (self.expected.astype(np.float64) - self.x)
+        return self.hold[self.frame["met"]] * (1 - seen), self.x - self.expected.astype(np.float64)
 
 
-def test_holding_matches_the_twin(device: str, rng: np.random.Generator) -> None:
-    """The pull is minus half the gradient of h u |x - e|^2, the matrix half its second derivative, both in the twin."""
-    held = Held(device, rng)
-    for found, expected_sum in zip(held.run(), held.twin(), strict=True):
+@pytest.fixture
+def held(device: str, rng: np.random.Generator) -> Held:
+    return Held(device, rng)
+
+
+def test_holding_matches_the_twin(held: Held) -> None:
+    h, d = held.twin()
+    for found, expected_sum in zip(held.run(), (h[:, None, None] * np.eye(3), -h[:, None] * d), strict=True):
         assert_gradients_close(found, expected_sum)
         assert found[:30].any() and not found[30:].any()
     for found, fresh in zip(held.run(start=5.0, cuts=(0, 7, 31)), held.run(), strict=True):
         np.testing.assert_allclose(found, fresh + 5.0, rtol=0, atol=1e-5)
+
+
+def test_the_pull_and_the_matrix_are_those_of_the_energy(held: Held, rng: np.random.Generator) -> None:
+    """E(m) = sum h u |d + m|^2, with h u and the places held: minus half its slope, half its second derivative."""
+    (h, d), (matrix, pull) = held.twin(), held.run()
+
+    def energy(move: np.ndarray) -> float:
+        return float((h * ((d + move) ** 2).sum(axis=1)).sum())
+
+    assert_gradients_close(pull, -0.5 * finite_differences(energy, np.zeros_like(d)))
+    for move in rng.normal(size=(20, held.count, 3)):
+        found = -2 * (pull * move).sum() + np.einsum("ia,iab,ib->", move, matrix, move)
+        assert found == pytest.approx(energy(move) - energy(0 * move), rel=1e-4)
+
+
+def test_the_pull_matches_autodiff(held: Held) -> None:
+    """A place is three planes, one across each axis."""
+    (h, d), on = held.twin(), held.device
+    move = wp.zeros(held.count, dtype=wp.vec3, device=on, requires_grad=True)
+    loss = wp.zeros(1, dtype=wp.float32, device=on, requires_grad=True)
+    pairs = [put(np.repeat(np.arange(held.count), 3), wp.int32, on), put(np.repeat(d, 3, axis=0), wp.vec3, on)]
+    pairs += [put(np.tile(np.eye(3), (held.count, 1)), wp.vec3, on), put(np.repeat(h, 3), wp.float32, on)]
+    with wp.Tape() as tape:
+        wp.launch(witness_refine.plane_pairs, 3 * held.count, inputs=[move, *pairs, loss], device=on)
+    tape.backward(loss)
+    assert_gradients_close(held.run()[1], -0.5 * move.grad.numpy())
 
 
 def test_what_lies_on_the_points_is_free_and_what_has_none_is_held(device: str, rng: np.random.Generator) -> None:
