@@ -1,7 +1,7 @@
 """Where a mesh ends its cloud ends too: planes across the border of an open mesh, added to the normal equations.
 
 Point-to-plane residuals leave the border free to slide along the surface, and it slides inwards. A border vertex x with
-outward direction b (in the surface, across the border) asks for two residuals more, of the weights in ``planes``:
+outward direction b (in the surface, across the border) asks for two residuals more, of the weights in ``pairs``:
 
     of its own pair:                r = b . (x - q) - gap
     of points q that lie outside:   r = b . (x - q), only where r < 0
@@ -15,9 +15,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from warpdef.kernels.chamfer import BOTH_SIDES, mutual_weight
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
-from warpdef.kernels.planes import pair_plane, pair_weight
+from warpdef.kernels.pairs import Pairs, own_weight, pair_plane, pair_weight
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -45,17 +44,7 @@ def outward_of(vertices: wp.array(dtype=wp.vec3), border: wp.array2d(dtype=wp.in
 def _vertex_borders(
     # In:
     begin: int,
-    agreement: float,
-    share: float,
-    reach: wp.array(dtype=wp.float32),
-    vertices: wp.array(dtype=wp.vec3),
-    vertex_normals: wp.array(dtype=wp.vec3),
-    vertex_frame: wp.array(dtype=wp.int32),
-    nearest: wp.array(dtype=wp.int32),
-    cloud: wp.array(dtype=wp.vec3),
-    cloud_normals: wp.array(dtype=wp.vec3),
-    back: wp.array(dtype=wp.int32),
-    mutual_reach: wp.array(dtype=wp.float32),
+    pairs: Pairs,
     border: wp.array2d(dtype=wp.int32),
     stiffness: float,
     gap: wp.array(dtype=wp.float32),
@@ -65,14 +54,13 @@ def _vertex_borders(
 ):
     """One thread a vertex of a frame."""
     i = begin + wp.tid()
-    t = vertex_frame[i]
-    j = nearest[i]
-    b = outward_of(vertices, border, t * border.shape[0], i - t * border.shape[0])
+    t = pairs.frame[i]
+    j = pairs.nearest[i]
+    b = outward_of(pairs.vertices, border, t * border.shape[0], i - t * border.shape[0])
     if j >= 0 and wp.length_sq(b) > 0.0:
-        if wp.length_sq(pair_plane(cloud_normals[j], vertex_normals[i], agreement, share)) > 0.0:
-            d = vertices[i] - cloud[j]
-            w = stiffness * pair_weight(d, reach[t])
-            w *= mutual_weight(vertices, i, back, j, mutual_reach, t)
+        if wp.length_sq(pair_plane(pairs, i, j)) > 0.0:
+            d = pairs.vertices[i] - pairs.cloud[j]
+            w = stiffness * own_weight(pairs, i, j, t)
             matrix_out[i] = matrix_out[i] + w * wp.outer(b, b)
             pull_out[i] = pull_out[i] + (w * (gap[t] - wp.dot(b, d))) * b
 
@@ -81,15 +69,7 @@ def _vertex_borders(
 def _cloud_borders(
     # In:
     begin: int,
-    agreement: float,
-    share: float,
-    reach: wp.array(dtype=wp.float32),
-    vertices: wp.array(dtype=wp.vec3),
-    vertex_normals: wp.array(dtype=wp.vec3),
-    cloud_frame: wp.array(dtype=wp.int32),
-    nearest: wp.array(dtype=wp.int32),
-    cloud: wp.array(dtype=wp.vec3),
-    cloud_normals: wp.array(dtype=wp.vec3),
+    pairs: Pairs,
     border: wp.array2d(dtype=wp.int32),
     stiffness: float,
     # Out, added to:
@@ -98,61 +78,30 @@ def _cloud_borders(
 ):
     """One thread a cloud point, with its nearest vertex, which others may share."""
     i = begin + wp.tid()
-    j = nearest[i]
+    j = pairs.nearest[i]
     if j >= 0:
-        t = cloud_frame[i]
-        b = outward_of(vertices, border, t * border.shape[0], j - t * border.shape[0])
-        d = vertices[j] - cloud[i]
+        t = pairs.frame[i]
+        b = outward_of(pairs.vertices, border, t * border.shape[0], j - t * border.shape[0])
+        d = pairs.vertices[j] - pairs.cloud[i]
         if wp.dot(b, d) < 0.0:
-            if wp.length_sq(pair_plane(cloud_normals[i], vertex_normals[j], agreement, share)) > 0.0:
-                w = stiffness * pair_weight(d, reach[t])
+            if wp.length_sq(pair_plane(pairs, j, i)) > 0.0:
+                w = stiffness * pair_weight(pairs, j, i, t)
                 wp.atomic_add(matrix_out, j, w * wp.outer(b, b))
                 wp.atomic_add(pull_out, j, (-w * wp.dot(b, d)) * b)
 
 
-def vertex_borders(
-    begin,
-    count,
-    pairing,
-    vertices,
-    normals,
-    frame,
-    nearest,
-    cloud,
-    cloud_normals,
-    border,
-    stiffness,
-    gap,
-    matrix_out,
-    pull_out,
-    one_sided=BOTH_SIDES,
-):
+def vertex_borders(begin, count, pairs, border, stiffness, gap, matrix_out, pull_out):
     """Add the border's part of vertex-to-cloud pairs, vertices ``begin .. begin + count`` of all frames.
 
     Args:
+        pairs: by vertex, see ``pairs_of``.
         border: shape (V, 3) int32: for a border vertex those before and after it on the border, and one inside; -1 for
             all others. stiffness: weight against one plane of ``planes``. gap: shape (T,) float32, cube units.
-        matrix_out, pull_out: shape (T V,), added to. All else as in ``planes.vertex_planes``.
+        matrix_out: shape (T V,) mat33. pull_out: shape (T V,) vec3.
     """
-    inputs = [begin, *pairing, vertices, normals, frame, nearest, cloud, cloud_normals, *one_sided]
-    launch(_vertex_borders, count, [*inputs, border, stiffness, gap, matrix_out, pull_out], vertices.device)
+    launch(_vertex_borders, count, [begin, pairs, border, stiffness, gap, matrix_out, pull_out], matrix_out.device)
 
 
-def cloud_borders(
-    begin,
-    count,
-    pairing,
-    vertices,
-    normals,
-    frame,
-    nearest,
-    cloud,
-    cloud_normals,
-    border,
-    stiffness,
-    matrix_out,
-    pull_out,
-):
-    """Add what cloud points beyond the border ask for, points ``begin .. begin + count``; frame, nearest: (N,)."""
-    inputs = [begin, *pairing, vertices, normals, frame, nearest, cloud, cloud_normals]
-    launch(_cloud_borders, count, [*inputs, border, stiffness, matrix_out, pull_out], vertices.device)
+def cloud_borders(begin, count, pairs, border, stiffness, matrix_out, pull_out):
+    """Add what cloud points beyond the border ask for, points ``begin .. begin + count``; pairs by point."""
+    launch(_cloud_borders, count, [begin, pairs, border, stiffness, matrix_out, pull_out], matrix_out.device)

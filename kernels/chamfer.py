@@ -43,8 +43,8 @@ def mutual_weight(
 ) -> float:
     """Of the pair of point i with point j of the other set: 1 for partners that choose each other, 1/e at reach[s].
 
-    ``back``: the nearest of ``points`` to each of the other set, -1 for none; empty where every pair counts. No way back
-    and an infinite reach give exactly 1.
+    ``back``: the nearest of ``points`` to each of the other set, -1 for none; empty where every pair counts. No way
+    back and an infinite reach give exactly 1.
     """
     w = float(1.0)
     if back.shape[0] > 0 and back[j] >= 0:

@@ -1,8 +1,8 @@
 """What a frame does not show is where the frames around it say: vertices without points are held halfway between.
 
-    A += h u I,   b += h u (e - x),   u = 1 - w w' |a|^2
+    A += h u I,   b += h u (e - x),   u = 1 - w |a|^2
 
-x a vertex, e the place expected of it, w w' a the weights and the plane of its pair (``planes``): u is 0 on the points
+x a vertex, e the place expected of it, w and a the weight and the plane of its pair (``pairs``): u is 0 on the points
 and 1 far from them. e is where a screw motion through the vertex's places p and q in two other frames puts it, whose
 rotation Q from p to q is that of the mesh around it: its Cayley vector z has the length of the tangent of half the
 angle.
@@ -15,9 +15,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from warpdef.kernels.chamfer import mutual_weight
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
-from warpdef.kernels.planes import pair_plane, pair_weight
+from warpdef.kernels.pairs import Pairs, own_weight, pair_plane
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -62,17 +61,7 @@ def _expected_places(
 def _hold_unseen(
     # In:
     begin: int,
-    agreement: float,
-    share: float,
-    reach: wp.array(dtype=wp.float32),
-    vertices: wp.array(dtype=wp.vec3),
-    vertex_normals: wp.array(dtype=wp.vec3),
-    vertex_frame: wp.array(dtype=wp.int32),
-    nearest: wp.array(dtype=wp.int32),
-    cloud: wp.array(dtype=wp.vec3),
-    cloud_normals: wp.array(dtype=wp.vec3),
-    back: wp.array(dtype=wp.int32),
-    mutual_reach: wp.array(dtype=wp.float32),
+    pairs: Pairs,
     expected: wp.array(dtype=wp.vec3),
     hold: wp.array(dtype=wp.float32),
     # Out, added to:
@@ -81,17 +70,15 @@ def _hold_unseen(
 ):
     """One thread a vertex of a frame."""
     i = begin + wp.tid()
-    t = vertex_frame[i]
-    j = nearest[i]
+    t = pairs.frame[i]
+    j = pairs.nearest[i]
     if hold[t] > 0.0:
         seen = float(0.0)
         if j >= 0:
-            a = pair_plane(cloud_normals[j], vertex_normals[i], agreement, share)
-            seen = wp.length_sq(a) * pair_weight(vertices[i] - cloud[j], reach[t])
-            seen *= mutual_weight(vertices, i, back, j, mutual_reach, t)
+            seen = wp.length_sq(pair_plane(pairs, i, j)) * own_weight(pairs, i, j, t)
         h = hold[t] * wp.max(1.0 - seen, 0.0)
         matrix_out[i] = matrix_out[i] + h * wp.identity(n=3, dtype=float)
-        pull_out[i] = pull_out[i] + h * (expected[i] - vertices[i])
+        pull_out[i] = pull_out[i] + h * (expected[i] - pairs.vertices[i])
 
 
 def expected_places(begin, count, near, far, between, vertices, rotation, expected_out):
@@ -105,27 +92,12 @@ def expected_places(begin, count, near, far, between, vertices, rotation, expect
     launch(_expected_places, count, inputs, vertices.device)
 
 
-def hold_unseen(
-    begin,
-    count,
-    pairing,
-    vertices,
-    normals,
-    frame,
-    nearest,
-    cloud,
-    cloud_normals,
-    expected,
-    hold,
-    matrix_out,
-    pull_out,
-    one_sided,
-):
-    """Hold what has no points, vertices ``begin .. begin + count`` of all frames.
+def hold_unseen(begin, count, pairs, expected, hold, matrix_out, pull_out):
+    """Hold what has no points, vertices ``begin .. begin + count`` of all frames; added to what is there.
 
     Args:
+        pairs: by vertex, see ``pairs_of``.
         expected: shape (T V,) vec3. hold: shape (T,) float32, weight against one plane; 0 leaves a frame alone.
-        matrix_out, pull_out: shape (T V,), added to. All else as in ``planes.vertex_planes``.
+        matrix_out: shape (T V,) mat33. pull_out: shape (T V,) vec3.
     """
-    inputs = [begin, *pairing, vertices, normals, frame, nearest, cloud, cloud_normals, *one_sided]
-    launch(_hold_unseen, count, [*inputs, expected, hold, matrix_out, pull_out], vertices.device)
+    launch(_hold_unseen, count, [begin, pairs, expected, hold, matrix_out, pull_out], matrix_out.device)

@@ -9,7 +9,7 @@ import reference_refine as twin
 import warp as wp
 import witness_refine
 from gradients import assert_gradients_close, finite_differences
-from test_planes import AGREEMENT, SHARE, Scene, put, spans
+from test_planes import Scene, put, spans
 
 from warpdef.fit.refine import _BORDER_GAP
 from warpdef.kernels.borders import cloud_borders, vertex_borders
@@ -30,21 +30,11 @@ class Edge(Scene):
 
     def run(self, way: str, start: float = 0.0, cuts=(0,)):
         kernel = {"met": vertex_borders, "asked": cloud_borders}[way]
-        on = self.device
-        sums = [
-            put(np.full((self.count, 3, 3), start), wp.mat33, on),
-            put(np.full((self.count, 3), start), wp.vec3, on),
-        ]
+        on, pairs, sums = self.device, self.pairs(way), self.sums(start)
         border = wp.array(self.border.astype(np.int32), dtype=wp.int32, ndim=2, device=on)
-        vectors = [put(a, wp.vec3, on) for a in (self.x, self.m, self.q, self.n)]
-        places = [put(a, wp.int32, on) for a in (self.frame[way], self.index[way])]
-        pairing = (AGREEMENT, SHARE, put(self.reach, wp.float32, on))
-        sides = (put(self.index["asked"], wp.int32, on), put(self.mutual_reach, wp.float32, on))
-        more = ([put(self.gap, wp.float32, on)], [sides]) if way == "met" else ([], [])
+        gap = [put(self.gap, wp.float32, on)] if way == "met" else []
         for begin, count in spans(cuts, len(self.frame[way])):
-            kernel(
-                begin, count, pairing, *vectors[:2], *places, *vectors[2:], border, STIFFNESS, *more[0], *sums, *more[1]
-            )
+            kernel(begin, count, pairs, border, STIFFNESS, *gap, *sums)
         return tuple(a.numpy() for a in sums)
 
     def offset(self, way: str) -> np.ndarray:

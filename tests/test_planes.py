@@ -11,6 +11,7 @@ import warp as wp
 import witness_refine
 from gradients import assert_gradients_close, finite_differences
 
+from warpdef.kernels.pairs import Pairs, pairs_of
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 
 AGREEMENT = 0.3
@@ -94,20 +95,26 @@ class Scene:
     def run(self, way: str, start: float = 0.0, cuts=(0,), agreement: float = AGREEMENT, share: float = SHARE):
         """A (V, 3, 3) and b (V, 3) of all frames by the kernel, into arrays that hold ``start``."""
         kernel = {"met": vertex_planes, "asked": cloud_planes}[way]
-        on, frame, index = self.device, self.frame[way], self.index[way]
-        matrix, pull = (
-            put(np.full((self.count, 3, 3), start), wp.mat33, on),
-            put(np.full((self.count, 3), start), wp.vec3, on),
-        )
+        pairs, sums = self.pairs(way, agreement, share), self.sums(start)
+        for begin, count in spans(cuts, len(self.frame[way])):
+            kernel(begin, count, pairs, *sums)
+        return tuple(a.numpy() for a in sums)
+
+    def pairs(self, way: str, agreement: float = AGREEMENT, share: float = SHARE) -> Pairs:
+        """As the kernels take them; the way back belongs to those that vertices meet."""
+        on = self.device
         mesh, cloud = ([put(a, wp.vec3, on) for a in pair] for pair in ((self.x, self.m), (self.q, self.n)))
         pairing = (agreement, share, put(self.reach, wp.float32, on))
-        places = [put(a, wp.int32, on) for a in (frame, index)]
+        places = [put(a, wp.int32, on) for a in (self.frame[way], self.index[way])]
         sides = []
         if way == "met" and self.mutual_reach is not None:
             sides = [(put(self.index["asked"], wp.int32, on), put(self.mutual_reach, wp.float32, on))]
-        for begin, count in spans(cuts, len(frame)):
-            kernel(begin, count, pairing, *mesh, *places, *cloud, matrix, pull, *sides)
-        return matrix.numpy(), pull.numpy()
+        return pairs_of(pairing, *mesh, *places, *cloud, *sides)
+
+    def sums(self, start: float = 0.0) -> tuple[wp.array, wp.array]:
+        """A and b of all frames, filled."""
+        matrix, pull = np.full((self.count, 3, 3), start), np.full((self.count, 3), start)
+        return put(matrix, wp.mat33, self.device), put(pull, wp.vec3, self.device)
 
     def planes(self, way: str, agreement: float = AGREEMENT) -> twin.Planes:
         """The same pairs for the twin, those without a partner left out."""

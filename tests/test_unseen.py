@@ -8,7 +8,7 @@ import reference_refine as twin
 import warp as wp
 import witness_refine
 from gradients import assert_gradients_close, finite_differences
-from test_planes import AGREEMENT, SHARE, Scene, put, spans
+from test_planes import Scene, put, spans
 
 from warpdef.kernels.unseen import expected_places, hold_unseen
 
@@ -57,18 +57,10 @@ class Held(Scene):
         self.hold, self.mutual_reach = np.array(hold, np.float32), np.array([2.0, np.inf], np.float32)
 
     def run(self, start: float = 0.0, cuts=(0,)):
-        on = self.device
-        sums = [
-            put(np.full((self.count, 3, 3), start), wp.mat33, on),
-            put(np.full((self.count, 3), start), wp.vec3, on),
-        ]
-        x, m, q, n, e = (put(a, wp.vec3, on) for a in (self.x, self.m, self.q, self.n, self.expected))
-        places = [put(a, wp.int32, on) for a in (self.frame["met"], self.index["met"])]
-        pairing = (AGREEMENT, SHARE, put(self.reach, wp.float32, on))
-        sides = (put(self.index["asked"], wp.int32, on), put(self.mutual_reach, wp.float32, on))
-        hold = put(self.hold, wp.float32, on)
+        pairs, sums = self.pairs("met"), self.sums(start)
+        places, hold = put(self.expected, wp.vec3, self.device), put(self.hold, wp.float32, self.device)
         for begin, count in spans(cuts, self.count):
-            hold_unseen(begin, count, pairing, x, m, *places, q, n, e, hold, *sums, sides)
+            hold_unseen(begin, count, pairs, places, hold, *sums)
         return tuple(a.numpy() for a in sums)
 
     def twin(self) -> tuple[np.ndarray, np.ndarray]:

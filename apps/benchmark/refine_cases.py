@@ -14,6 +14,7 @@ from warpdef.apps.benchmark.timing import Clock, Timing
 from warpdef.fit.refine import Refinement
 from warpdef.fit.workers import Team
 from warpdef.kernels.block_cg import BlockSolver
+from warpdef.kernels.pairs import pairs_of
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
 
@@ -54,15 +55,13 @@ def _planes(bed: Bed) -> list[Case]:
     reach = c.reach * p.spacing
     pairing = (c.agreement, 1.0, p.numbers(reach))
     matrix, pull = _filled(bed, wp.mat33, total), _filled(bed, wp.vec3, total)
-    sums = (p.cloud, p.normals, matrix, pull)
+    mesh, cloud = (flat, normals), (p.cloud, p.normals)
+    met = pairs_of(pairing, *mesh, p.vertex_frame, to_cloud, *cloud)
+    asked = pairs_of(pairing, *mesh, p.cloud_frame, to_vertex, *cloud)
     tasks = {
         "normals": bed.span_tasks(normals_of, _spans(bed)),
-        "out": bed.span_tasks(
-            lambda a, n: vertex_planes(a, n, pairing, flat, normals, p.vertex_frame, to_cloud, *sums), _spans(bed)
-        ),
-        "back": bed.span_tasks(
-            lambda a, n: cloud_planes(a, n, pairing, flat, normals, p.cloud_frame, to_vertex, *sums), p.cloud_first
-        ),
+        "out": bed.span_tasks(lambda a, n: vertex_planes(a, n, met, matrix, pull), _spans(bed)),
+        "back": bed.span_tasks(lambda a, n: cloud_planes(a, n, asked, matrix, pull), p.cloud_first),
     }
 
     def answer(which: str) -> tuple[np.ndarray, ...]:
@@ -71,15 +70,15 @@ def _planes(bed: Bed) -> list[Case]:
         run_tasks(tasks[which])
         return (m.numpy(),) if which == "normals" else (matrix.numpy(), pull.numpy())
 
-    at, mesh_normals, cloud, cloud_normals = (a.numpy() for a in (flat, normals, p.cloud, p.normals))
+    at, mesh_normals, points_at, cloud_normals = (a.numpy() for a in (flat, normals, p.cloud, p.normals))
     j, i = to_cloud.numpy(), to_vertex.numpy()
     reach_out, reach_back = reach[p.vertex_frame.numpy()], reach[p.cloud_frame.numpy()]
 
     def out_numpy(workers: int) -> tuple[np.ndarray, ...]:
-        return planes_numpy(at, mesh_normals, cloud[j], cloud_normals[j], reach_out, c.agreement)
+        return planes_numpy(at, mesh_normals, points_at[j], cloud_normals[j], reach_out, c.agreement)
 
     def back_numpy(workers: int) -> tuple[np.ndarray, ...]:
-        found = planes_numpy(at[i], mesh_normals[i], cloud, cloud_normals, reach_back, c.agreement)
+        found = planes_numpy(at[i], mesh_normals[i], points_at, cloud_normals, reach_back, c.agreement)
         return add_rows(i, found[0].reshape(-1, 9), total).reshape(-1, 3, 3), add_rows(i, found[1], total)
 
     x_numpy = x.numpy()

@@ -33,6 +33,7 @@ from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.block_cg import BlockSolver
 from warpdef.kernels.borders import cloud_borders, vertex_borders
 from warpdef.kernels.cg import ConjugateGradients
+from warpdef.kernels.pairs import pairs_of
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
 from warpdef.kernels.schedule import add_scaled, blend, copy_vectors
@@ -82,8 +83,7 @@ class Refinement:
         self._shape_solver = ConjugateGradients(stiff, wp.vec3, _SHAPE_TOLERANCE, _SHAPE_ITERATIONS, device)
         self.noise = _noise(p.thickness, c)
         self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
-        share = max(1.0 - self.noise, 0.0)
-        self._pairing = (c.agreement * share, share, p.numbers(c.reach * p.spacing))
+        self._lay_pairs()
         self._lay_borders()
         self._lay_times()
         self.solves = SolveReport("block cg")
@@ -101,6 +101,15 @@ class Refinement:
         self._faces = wp.array(p.faces, dtype=wp.int32, ndim=2, device=p.device)
         self._face_row = p.integers(np.concatenate([[0], np.cumsum(counts)]))
         self._face_of = p.integers(corner // 3)
+
+    def _lay_pairs(self) -> None:
+        """Pairs met by vertices, and those asked for by cloud points."""
+        p, o, c = self.problem, self.objective, self.config
+        share = max(1.0 - self.noise, 0.0)
+        pairing = (c.agreement * share, share, p.numbers(c.reach * p.spacing))
+        mesh, cloud = (o.vertices.flatten(), self._normals.flatten()), (p.cloud, p.normals)
+        self._met = pairs_of(pairing, *mesh, p.vertex_frame, o.vertex_to_cloud.index, *cloud, o.vertex_sides)
+        self._asked = pairs_of(pairing, *mesh, p.cloud_frame, o.cloud_to_vertex.index, *cloud)
 
     def _lay_borders(self) -> None:
         p, self._border = self.problem, None
@@ -238,20 +247,17 @@ class Refinement:
         o.vertex_to_cloud.run(begin, count)
         o.cloud_to_vertex.run(met_begin, met_count)
 
-        flat, normals = o.vertices.flatten(), self._normals.flatten()
-        cloud, sums = (p.cloud, p.normals), (self._matrix.flatten(), self._pull.flatten())
-        met = (begin, count, self._pairing, flat, normals, p.vertex_frame, o.vertex_to_cloud.index, *cloud)
-        asked = (met_begin, met_count, self._pairing, flat, normals, p.cloud_frame, o.cloud_to_vertex.index, *cloud)
-        vertex_planes(*met, *sums, o.vertex_sides)
-        cloud_planes(*asked, *sums)
+        sums = (self._matrix.flatten(), self._pull.flatten())
+        vertex_planes(begin, count, self._met, *sums)
+        cloud_planes(met_begin, met_count, self._asked, *sums)
         if self._border is not None:
-            vertex_borders(*met, self._border, _BORDER, self._border_gap, *sums, o.vertex_sides)
-            cloud_borders(*asked, self._border, _BORDER, *sums)
+            vertex_borders(begin, count, self._met, self._border, _BORDER, self._border_gap, *sums)
+            cloud_borders(met_begin, met_count, self._asked, self._border, _BORDER, *sums)
         if self._expected is not None:
-            hold_unseen(*met, self._expected.flatten(), self._hold, *sums, o.vertex_sides)
+            hold_unseen(begin, count, self._met, self._expected.flatten(), self._hold, *sums)
         rigid_pull(begin, count, self.rigidity, *mesh, self._rest, self._rotation, o.vertices, self._pull)
         self._solver.solve(first, last, self.rigidity, c.damping, self._matrix, self._pull, self._move)
-        add_scaled(begin, count, 1.0, self._move.flatten(), flat)
+        add_scaled(begin, count, 1.0, self._move.flatten(), o.vertices.flatten())
         fit_rotations(begin, count, *mesh, self._rest, o.vertices, self._rotation)
 
     def _expect(self, begin: int, count: int) -> None:
