@@ -172,7 +172,8 @@ def run_to_folder(
             sequence = read_clouds(source, frames, strict=how.strict, points=kept, seed=config.seed)
         else:
             sequence = source.select(frames)
-        template = read_mesh(config.template.mesh) if config.template.mesh else None
+        # A run that goes on has its template's shape in the checkpoint.
+        template = read_mesh(config.template.mesh) if config.template.mesh and saved is None else None
         loading = watch.lap()
 
         tell = shown.enter_context(_shown_live(sequence, display, output)) if how.live else display
@@ -213,7 +214,7 @@ def run_to_folder(
                 steps=result.steps,
                 names=sequence.frame_names,
                 motion=result.motion,
-                appearance=result.appearance or _look_of_template(result),
+                appearance=result.appearance if saved is None else _look_of_template(result),
             )
         except BaseException:
             if folder.checkpoint.exists():
@@ -237,13 +238,16 @@ def _look_of_template(result: Reconstruction) -> Appearance | None:
     """Colours and texture of the template given, for a run that went on from a checkpoint, which has only its shape."""
     from warpdef.files import read_mesh
 
-    if not result.config.template.mesh:
+    file = result.config.template.mesh
+    if not file:
         return None
     try:
-        mesh = read_mesh(result.config.template.mesh)
-    except WarpdefError:
-        return None  # the file is gone; the motion is not
-    return mesh.appearance if mesh.faces.tolist() == result.faces.tolist() else None
+        mesh = read_mesh(file)
+    except WarpdefError as error:
+        say(f"warpdef: warning: the result has no colours of the template: {error}")
+        return None
+    shapes = [(m.vertices.shape[-2:], m.faces.shape) for m in (mesh, result)]
+    return mesh.appearance if shapes[0] == shapes[1] and (mesh.faces == result.faces).all() else None
 
 
 @contextlib.contextmanager

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
+import trimesh
 from stand_in_method import StandInMethod
 
 from warpdef.apps.main import run
@@ -155,6 +156,27 @@ def test_resume_goes_on_with_what_was_cut_short(real, tmp_path: Path, monkeypatc
     assert second.config == first.config and second.config.frames == ":3"
     assert second.report["resumed"] == [40] and second.report["stopped"] is None
     assert not (tmp_path / ".out.checkpoint").exists()
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_run_that_goes_on_needs_its_template_only_for_the_colours(there, real, tmp_path: Path, monkeypatch, capfd):
+    """The shape is in the checkpoint: a file that is gone is told, and loses nothing else."""
+    colors = np.arange(3 * 42, dtype=np.uint8).reshape(42, 3)
+    mesh = trimesh.load(tmp_path / "mesh.ply", process=False)
+    mesh.visual.vertex_colors = colors
+    mesh.export(tmp_path / "mesh.ply")
+    cut(real, monkeypatch)
+    if not there:
+        (tmp_path / "mesh.ply").unlink()
+    assert run(["reconstruct", "--resume", str(tmp_path / "out"), *device()]) == 0
+    result = load_run(tmp_path / "out")
+    assert result.report["resumed"] == [40] and result.vertices.shape[1] == 42
+    told = "warpdef: warning: the result has no colours of the template: " in capfd.readouterr().err
+    assert told == (not there)
+    if there:
+        np.testing.assert_array_equal(result.appearance.colors[:, :3], colors)
+    else:
+        assert result.appearance.colors is None
 
 
 def test_an_unfinished_run_is_not_begun_anew_by_accident(real, tmp_path: Path, monkeypatch, capfd) -> None:

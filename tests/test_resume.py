@@ -105,6 +105,15 @@ def test_the_vertex_stage_goes_on_from_any_round(tmp_path: Path) -> None:
         assert_same(fit(resume=tmp_path / "c"), whole)
 
 
+def test_frames_followed_are_followed_once_and_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_module, "follow_outwards", lambda *_: [0, 3])
+    whole = fit(quick())
+    assert whole.report["refine"]["frames_followed"] == [0, 3]
+    cut_at("refine", 3, quick(), tmp_path / "c")
+    monkeypatch.setattr(run_module, "follow_outwards", None)
+    assert_same(fit(resume=tmp_path / "c"), whole)
+
+
 def test_cut_short_again_and_again(tmp_path: Path) -> None:
     path = tmp_path / "c"
     cut_at("optimise", 30, quick(), path)

@@ -66,7 +66,8 @@ def reconstruct(
         callback: called with a ``Progress`` now and then. Ctrl-C during the optimisation ends it early: the best
             state so far is returned, with ``report["interrupted"]`` true and ``report["stopped"]`` saying why.
         checkpoint: file that the state is written to every ``checkpoint_seconds``; it is the caller's to remove.
-        resume: checkpoint to go on from, on the same input, with its own configuration: on the CPU to the same bits.
+        resume: checkpoint to go on from, on the same input, with its own configuration and the shape of its own
+            template (whose colours come back with ``template``): on the CPU to the same bits.
         notes: kept in the checkpoint for whoever resumes.
         seconds_max: time after which the best state so far is returned; some of it goes to the vertex stage.
         memory_limit: GiB that the run may be estimated to need; what is free if not given; 0: no limit.
@@ -93,10 +94,11 @@ def reconstruct(
 
     if saved is not None:
         saved.require_input(sequence)
-    if template is None and config.template.mesh:
+    if template is None and saved is None and config.template.mesh:
         template = read_mesh(Path(config.template.mesh))
     sizes = [len(p) for p in sequence.points]
-    estimate = require_memory(sizes, len(template.vertices) if template else None, config, target, memory_limit)
+    vertex_count = len(template.vertices) if template else saved.vertex_count if saved is not None else None
+    estimate = require_memory(sizes, vertex_count, config, target, memory_limit)
 
     # Implementation Details: the whole sequence is normalised into the cube by one similarity.
     into = Similarity.into_cube(sequence.points, config.fill)

@@ -84,6 +84,11 @@ class Saved:
         """Iterations of the grid stage done."""
         return self.facts["iteration"]
 
+    @property
+    def vertex_count(self) -> int:
+        """Vertices of the template."""
+        return len(self.part("template")["vertices"])
+
     def warnings(self) -> list[str]:
         """Why the bits may differ from those of an unbroken run."""
         theirs, ours = self.facts["version"], warpdef.__version__
