@@ -2,124 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import reference_refine as twin
-import synthetic
-import warp as wp
+from refine_samples import AXES, Run, Scene, mean_square
 
 from warpdef.config import Config
-from warpdef.fit.optimise import Optimiser
-from warpdef.fit.problem import Problem
-from warpdef.fit.refine import Refinement
-from warpdef.fit.workers import Team
 from warpdef.mesh import unique_edges
-
-AXES = np.array([0.6, 0.45, 0.35])
-
-
-@dataclass(frozen=True)
-class Scene:
-    """An exact ellipsoid that turns and drifts: a mesh whose vertices lie on it, and clouds that see part of it or all.
-
-    turn, shift: pose of each frame, (T, 3, 3) and (T, 3). body: vertices before posing, (V, 3). axis: their normals.
-    """
-
-    turn: np.ndarray
-    shift: np.ndarray
-    body: np.ndarray
-    axis: np.ndarray
-    faces: np.ndarray
-    clouds: list[np.ndarray]
-    normals: list[np.ndarray]
-
-    @classmethod
-    def make(cls, frames: int, points: int, rng: np.random.Generator, subdivisions: int = 2, seen=None) -> Scene:
-        """``seen(t, body points)``: which points the cloud of frame t keeps."""
-        sphere, faces = synthetic.icosphere(subdivisions)
-        turn = np.stack([synthetic.turn_about([0.3, 0.2, 1.0], 0.15 * t) for t in range(frames)])
-        shift = np.array([[0.03 * t, 0, 0] for t in range(frames)])
-        clouds, normals = [], []
-        for t in range(frames):
-            direction = _units(rng.normal(size=(points, 3)))
-            if seen is not None:
-                direction = direction[seen(t, direction * AXES)]
-            clouds.append(direction * AXES @ turn[t].T + shift[t])
-            normals.append(_units(direction / AXES) @ turn[t].T)
-        return cls(turn, shift, sphere * AXES, _units(sphere / AXES), faces, clouds, normals)
-
-    @property
-    def vertices(self) -> np.ndarray:
-        return self.posed(np.tile(self.body, (len(self.turn), 1, 1)))
-
-    def posed(self, bodies: np.ndarray) -> np.ndarray:
-        """Bodies of each frame, (T, V, 3), to where the frames are."""
-        return np.einsum("tab,tvb->tva", self.turn, bodies) + self.shift[:, None]
-
-    def off_surface(self, vertices: np.ndarray) -> np.ndarray:
-        """Distance of each vertex to the ellipsoid to first order, (T, V): |f| / |grad f| with f = |x / axes| - 1."""
-        scaled = np.einsum("tba,tvb->tva", self.turn, vertices - self.shift[:, None]) / AXES
-        length = np.linalg.norm(scaled, axis=2)
-        return np.abs(length - 1) * length / np.linalg.norm(scaled / AXES, axis=2)
-
-    def waves(self, count: int, size: float, rng: np.random.Generator) -> np.ndarray:
-        """Bodies displaced along their normals by smooth noises, ``size`` root mean square, (count, V, 3)."""
-        x, y, z = (self.body / AXES).T
-        smooth = np.stack([x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1, x, y, z], axis=1)
-        height = np.einsum("vs,ts->tv", smooth, rng.normal(size=(count, smooth.shape[1])))
-        height *= size / np.sqrt((height**2).mean(axis=1, keepdims=True))
-        return self.body + height[..., None] * self.axis
-
-
-def _units(a: np.ndarray) -> np.ndarray:
-    return a / np.linalg.norm(a, axis=-1, keepdims=True)
-
-
-def mean_square(a: np.ndarray, axis=None) -> np.ndarray:
-    """Root of the mean square."""
-    return np.sqrt((a**2).mean(axis=axis))
-
-
-class Run:
-    """Rounds of the stage from these vertices, in the template's order. ``normals``: None for those of the scene."""
-
-    def __init__(
-        self,
-        scene: Scene,
-        vertices: np.ndarray,
-        device: str,
-        rounds: int,
-        keyframe: int = 1,
-        threads: int = 1,
-        capture: bool = True,
-        prepare: bool = False,
-        normals: list[np.ndarray] | None = None,
-        oriented: list[bool] | None = None,
-        **refine,
-    ) -> None:
-        config = Config()
-        config = replace(config, grid=replace(config.grid, levels=2), refine=replace(config.refine, **refine))
-        surface = [scene.clouds, normals or scene.normals, vertices[keyframe], scene.faces, keyframe, config]
-        self.problem = p = Problem(*surface, wp.get_device(device), oriented)
-        team = Team(threads)
-        try:
-            # The stage takes over where the grids end; here they never began.
-            self.objective = Optimiser(p, 1, team).objective
-            place = np.argsort(p.place)
-            self.objective.vertices.assign(np.asarray(vertices, np.float32)[:, place])
-            self.stage = Refinement(self.objective, team, capture)
-            if prepare:
-                self.stage.prepare()
-            self.stage.start()
-            for _ in range(rounds):
-                self.stage.step()
-            self.vertices = self.objective.placed_vertices()
-            self.rest = self.stage._rest.numpy()[p.place]
-            self.rotation = self.stage._rotation.numpy()[:, p.place]
-        finally:
-            team.close()
 
 
 @pytest.fixture
@@ -294,94 +185,6 @@ def test_given_sides_are_doubted_only_where_many_oppose_the_mesh(scene: Scene, s
     for frame in (0, 1, 2):
         np.testing.assert_array_equal(found[frame], expected[frame])
     assert int((found[3] != expected[3]).any(axis=1).sum()) == 1
-
-
-# Incomplete frames and open meshes.
-
-
-def test_what_a_frame_does_not_show_is_where_its_neighbours_say(device: str, rng: np.random.Generator) -> None:
-    """The middle frame shows one half; the mesh's other half there starts shifted, as the grids might leave it."""
-    scene = Scene.make(3, 800, rng, seen=lambda t, p: (p[:, 0] < 0) | (t != 1))
-    start = scene.vertices
-    start[1] += 0.15 * np.clip(scene.body[:, :1], 0, None) * [0, 0, 1]  # bent upwards
-    unseen = scene.body[:, 0] > 0.2
-    run = Run(scene, start, device, 20, keyframe=0)
-    np.testing.assert_array_equal(run.problem.complete, [True, False, True])
-    assert run.stage.as_dict()["frames_partial"] == 1
-    before, after = (
-        mean_square(np.linalg.norm(v[1] - scene.vertices[1], axis=1)[unseen]) for v in (start, run.vertices)
-    )
-    assert after < 0.35 * before, f"{after}, before {before}"
-    assert mean_square(scene.off_surface(run.vertices)[1, unseen]) < 0.25 * mean_square(
-        scene.off_surface(start)[1, unseen]
-    )
-
-
-def test_partial_frames_are_not_taken_for_lost_ones(device: str, rng: np.random.Generator) -> None:
-    """Frames 0 and 2 show two caps that nothing joins: half of their points is on no connected part."""
-    scene = Scene.make(5, 900, rng, seen=lambda t, p: (np.abs(p[:, 0]) > 0.3) | (t not in (0, 2)))
-    run = Run(scene, scene.vertices, device, 10, keyframe=3)
-    np.testing.assert_array_equal(np.flatnonzero(~run.problem.complete), [0, 2])
-    assert run.stage.frames_recovered == [] and run.stage.frames_lost == []
-
-
-@pytest.mark.parametrize("size", [0.9, 1.1])
-def test_an_open_mesh_ends_where_the_points_end(size: float, device: str, rng: np.random.Generator) -> None:
-    """A cap that starts too small or too large along the surface gets the true border, which planes alone leave."""
-    scene = Scene.make(3, 900, rng, subdivisions=3, seen=lambda t, p: p[:, 2] < 0)
-    # The cap's vertices by their latitude, which the border shifts.
-    scaled = scene.body / AXES
-    low = scaled[:, 2] < 0.02
-    faces = scene.faces[low[scene.faces].all(axis=1)]
-    used, faces = np.unique(faces, return_inverse=True)
-    angle = size * np.arccos(np.clip(-scaled[used, 2], -1, 1))
-    across = np.maximum(np.hypot(*scaled[used, :2].T), 1e-9)
-    flat = scaled[used, :2] * (np.sin(angle) / across)[:, None]
-    body = np.column_stack([flat, -np.cos(angle)]) * AXES
-    scene = replace(scene, body=body, faces=faces.reshape(-1, 3).astype(np.int32))
-    run = Run(scene, scene.vertices, device, 20)
-    border = run.problem.border[run.problem.place][:, 0] >= 0
-    assert 30 < border.sum() < 0.3 * len(border)
-
-    def height(vertices: np.ndarray) -> float:
-        """Mean height of the border over the true one, in the frames' own poses."""
-        upright = np.einsum("tba,tvb->tva", scene.turn, vertices - scene.shift[:, None])
-        return float(upright[:, border, 2].mean())
-
-    start, found = height(scene.vertices), height(run.vertices)
-    assert np.sign(start) == np.sign(size - 1) and abs(found) < 0.35 * abs(start), f"{found}, before {start}"
-
-
-def test_borders_of_a_template(device: str, scene: Scene) -> None:
-    """Closed: none. Open: neighbours run around the hole, and the third lies inside."""
-    assert Run(scene, scene.vertices, device, 0).problem.border is None
-    low = scene.body[:, 2] < 0.01
-    faces = scene.faces[low[scene.faces].all(axis=1)]
-    p = Run(replace(scene, faces=faces), scene.vertices, device, 0).problem
-    border, k = p.border, np.flatnonzero(p.border[:, 0] >= 0)
-    edges = {tuple(e) for f in p.faces for e in (f[[0, 1]], f[[1, 2]], f[[2, 0]])}
-    alone = {e for e in edges if e[::-1] not in edges}
-    assert len(k) == len(alone) > 5
-    for i in k:
-        before, after, inner = border[i]
-        assert (before, i) in alone and (i, after) in alone and (after, inner) in edges and (inner, i) in edges
-
-
-def test_completeness_is_judged_by_area(rng: np.random.Generator) -> None:
-    """Against the fullest frame, whatever the number of points, and against the template if all show a part."""
-    scene = Scene.make(4, 800, rng)
-    few = [c[: 800 // (t + 1)] for t, c in enumerate(scene.clouds)]
-    sparse = replace(scene, clouds=few, normals=[n[: len(c)] for n, c in zip(scene.normals, few, strict=True)])
-    assert Run(sparse, scene.vertices, "cpu", 0).problem.complete.all()
-    for seen, complete in (
-        (lambda t, p: (p[:, 0] < 0.1) | (t % 2 == 0), [True, False, True, False]),
-        (lambda t, p: p[:, t % 3] < 0, [False] * 4),
-    ):
-        part = Scene.make(4, 1600, rng, seen=seen)
-        np.testing.assert_array_equal(Run(part, part.vertices, "cpu", 0).problem.complete, complete)
-    tiny = [c[:60] for c in scene.clouds[:3]] + [scene.clouds[3]]
-    tiny = replace(scene, clouds=tiny, normals=[n[: len(c)] for n, c in zip(scene.normals, tiny, strict=True)])
-    assert Run(tiny, scene.vertices, "cpu", 0).problem.complete.all()
 
 
 # Degenerate input.
