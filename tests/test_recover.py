@@ -104,6 +104,36 @@ def test_what_was_found_helps_the_frames_behind_it(swing):
     assert recover(still[[0, 0]], [clouds[0], clouds[3]], faces, edges, keyframe=0)[1] == [1]
 
 
+def swung(*degrees: float) -> tuple[np.ndarray, np.ndarray, list[Cloud]]:
+    """Both legs swung ever further: vertices (T, V, 3), faces, and clouds."""
+    faces = body((0.0, 0.0))[1]
+    frames = np.stack([body((-a * DEGREE, -(a + 2) * DEGREE))[0] for a in degrees])
+    return frames, faces, [cloud_of(v, faces, seed) for seed, v in enumerate(frames)]
+
+
+def test_looser_matches_are_tried_where_something_stays_lost(monkeypatch):
+    frames, faces, clouds = swung(0, 34)
+    edges = unique_edges(faces)
+    found = frames[[0, 0]]
+    assert recover(found, clouds, faces, edges, keyframe=0) == ([1], [])
+    assert np.linalg.norm(found[1] - frames[1], axis=1).mean() < 0.03
+    monkeypatch.setattr("warpdef.fit.recover.LOOSER", ())
+    assert recover(frames[[0, 0]], clouds, faces, edges, keyframe=0)[1] == [1]
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_lost_frame_is_found_from_a_covered_one_behind_it(backwards):
+    frames, faces, clouds = swung(0, 50, 60)
+    edges, keyframe = unique_edges(faces), 0
+    found = frames[[0, 0, 2]]
+    if backwards:
+        frames, found, clouds, keyframe = frames[::-1], found[::-1].copy(), clouds[::-1], 2
+    assert recover(found, clouds, faces, edges, keyframe) == ([1], [])
+    assert np.linalg.norm(found[1] - frames[1], axis=1).mean() < 0.03
+    alone = [clouds[keyframe], clouds[1]]
+    assert recover(frames[[keyframe, keyframe]], alone, faces, edges, 0)[1] == [1]
+
+
 def test_a_frame_half_found_does_not_end_the_search(swing):
     """A part of the second frame's points belongs to nothing; the third frame is found all the same."""
     truth, faces = swing

@@ -4,12 +4,14 @@ A leg that swings by a fifth of the body finds the other leg nearest, and stays 
 the surface: a wrong match is not connected to the rest of the body by matches. So the neighbour's mesh is bent towards
 the points by the matches of one connected part alone; all else follows as rigidly as it can. Step by step the hip turns
 the thigh, the thigh carries the foot, and the connected part grows until it is the whole mesh. Frame by frame outwards
-from the keyframe, so that behind a frame that is found again the next ones are, too.
+from the keyframe, so that behind a frame that is found again the next ones are, too; what stays lost is tried once more
+from the other side, where the frames behind it are covered.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,10 +23,10 @@ NODES = 400
 """Nodes of the deformation graph."""
 ROUNDS = 25
 """Gauss-Newton steps, each on new matches."""
-REACH = 3.0
-"""Largest distance of a match, in point spacings of the frame."""
-AGREEMENT = 0.6
-"""Least cosine between the normals of a match."""
+REACH, AGREEMENT = 3.0, 0.6
+"""Largest distance of a match, in point spacings of the frame, and least cosine between its normals."""
+LOOSER = ((5.0, 0.6), (3.0, 0.3))
+"""The same for further tries where the first leaves something lost: joints that turn by a right angle in a frame."""
 RIGIDITY = 0.03
 """Weight of rigidity between nodes, mean over links, against the mean squared distance along normals."""
 TANGENTIAL = 0.02
@@ -75,14 +77,18 @@ class Matches:
 
         self.cloud, self.surface = cloud, surface
         self.tree = cKDTree(cloud.points)
-        self.reach = REACH * float(np.median(self.tree.query(cloud.points, k=2)[0][:, 1]))
+        self.spacing = float(np.median(self.tree.query(cloud.points, k=2)[0][:, 1]))
 
-    def find(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def find(
+        self, vertices: np.ndarray, rule: tuple[float, float] = (REACH, AGREEMENT)
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Trusted vertices (m,), the points (m, 3) nearest to them and their normals (m, 3)."""
+        reach, agreement = rule
         s = self.surface
         distance, nearest = self.tree.query(vertices)
         cosine = (vertex_normals(vertices, s.faces) * self.cloud.normals[nearest]).sum(axis=1)
-        on = (distance < self.reach) & ((cosine if self.cloud.oriented else np.abs(cosine)) > AGREEMENT)
+        on = distance < reach * self.spacing
+        on &= (cosine if self.cloud.oriented else np.abs(cosine)) > agreement
         kept = s.edges[on[s.edges].all(axis=1)]
         part = component_labels(*kept.T, len(vertices))
         # A separate object is no lost limb: of every component of the mesh the largest part counts.
@@ -104,7 +110,7 @@ class Matches:
         around, edges = np.zeros(len(vertices)), self.surface.edges
         length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
         np.maximum.at(around, edges, length[:, None])
-        return float(np.mean(distance > self.reach + 0.6 * around[trusted][nearest]))
+        return float(np.mean(distance > REACH * self.spacing + 0.6 * around[trusted][nearest]))
 
 
 def lost_above(keyframe_uncovered: float) -> float:
@@ -115,7 +121,7 @@ def lost_above(keyframe_uncovered: float) -> float:
 def recover(
     vertices: np.ndarray, clouds: list[Cloud], faces: np.ndarray, edges: np.ndarray, keyframe: int
 ) -> tuple[list[int], list[int]]:
-    """Fit lost frames again, outwards from the keyframe, in place.
+    """Fit lost frames again, in place: outwards from the keyframe, then inwards from covered frames behind lost ones.
 
     Args:
         vertices: shape (T, V, 3) float64; recovered frames are overwritten.
@@ -124,41 +130,60 @@ def recover(
     Returns:
         Frames recovered, and frames that stay lost.
     """
-    surface = Surface.of(faces, edges)
-    matches = [Matches(cloud, surface) for cloud in clouds]
-    uncovered = [m.uncovered(v) for m, v in zip(matches, vertices, strict=True)]
-    bound = lost_above(uncovered[keyframe])
-    recovered, lost = [], []
-    graph = None
+    search = _Search(vertices, clouds, Surface.of(faces, edges), keyframe)
     for side in (range(keyframe + 1, len(clouds)), range(keyframe - 1, -1, -1)):
         for t in side:
-            if uncovered[t] <= bound:
-                continue
-            inner = t - side.step
-            if uncovered[inner] <= _NOTHING:
-                graph = graph or DeformationGraph.build(vertices[keyframe], edges, NODES)
-                if not clouds[t].oriented:
-                    matches[t] = Matches(clouds[t].turned_outwards(), surface)
-                    uncovered[t] = matches[t].uncovered(vertices[t])
-                again = _bend(graph, vertices[inner], matches[t])
-                left = matches[t].uncovered(again)
-                if left <= max(_BETTER * uncovered[t], bound):
-                    vertices[t], uncovered[t] = again, left
-                    recovered.append(t)
-            if uncovered[t] > bound:
-                lost.append(t)
-    return sorted(recovered), sorted(lost)
+            if search.lost(t) and search.uncovered[t - side.step] <= _NOTHING:
+                search.learn(t, t - side.step)
+        for t in reversed(side[:-1]):
+            if search.lost(t) and not search.lost(t + side.step):
+                search.learn(t, t + side.step)
+    return sorted(search.recovered), [t for t in range(len(clouds)) if t != keyframe and search.lost(t)]
 
 
-def _bend(graph: DeformationGraph, rest: np.ndarray, matches: Matches) -> np.ndarray:
-    """The mesh ``rest`` bent onto the cloud of ``matches``."""
+class _Search:
+    """Frames, how much of their points is not covered, and which were recovered so far."""
+
+    def __init__(self, vertices: np.ndarray, clouds: list[Cloud], surface: Surface, keyframe: int) -> None:
+        self.vertices, self._clouds, self._surface, self._keyframe = vertices, clouds, surface, keyframe
+        self._matches = [Matches(cloud, surface) for cloud in clouds]
+        self.uncovered = [m.uncovered(v) for m, v in zip(self._matches, vertices, strict=True)]
+        self._bound = lost_above(self.uncovered[keyframe])
+        self.recovered: set[int] = set()
+
+    def lost(self, t: int) -> bool:
+        return self.uncovered[t] > self._bound
+
+    @cached_property
+    def _graph(self) -> DeformationGraph:
+        return DeformationGraph.build(self.vertices[self._keyframe], self._surface.edges, NODES)
+
+    def learn(self, t: int, neighbour: int) -> None:
+        """Bend a neighbour's mesh onto frame t, and keep what covers more."""
+        if not self._matches[t].cloud.oriented:
+            self._matches[t] = Matches(self._clouds[t].turned_outwards(), self._surface)
+            self.uncovered[t] = self._matches[t].uncovered(self.vertices[t])
+        rest = self.vertices[neighbour]
+        looser = () if self.lost(neighbour) else LOOSER  # what is lost itself teaches little
+        for rule in ((REACH, AGREEMENT), *looser):
+            again = _bend(self._graph, rest, self._matches[t], rule)
+            left = self._matches[t].uncovered(again)
+            if left <= max(_BETTER * self.uncovered[t], self._bound):
+                self.vertices[t], self.uncovered[t] = again, left
+                self.recovered.add(t)
+            if not self.lost(t):
+                break
+
+
+def _bend(graph: DeformationGraph, rest: np.ndarray, matches: Matches, rule: tuple[float, float]) -> np.ndarray:
+    """The mesh ``rest`` bent onto the cloud of ``matches``, by those that ``rule`` (reach, agreement) trusts."""
     pose, placed = Pose.identity(len(graph.node)), rest
     for _ in range(ROUNDS):
-        trusted, goal, normal = matches.find(placed)
+        trusted, goal, normal = matches.find(placed, rule)
         if not len(trusted):
             break
         pose = graph.step(rest, pose, trusted, goal, normal, RIGIDITY, TANGENTIAL)
         before, placed = placed, graph.place(rest, pose)
-        if np.abs(placed - before).max() < _STILL * matches.reach:
+        if np.abs(placed - before).max() < _STILL * REACH * matches.spacing:
             break
     return placed
