@@ -68,8 +68,9 @@ def estimate_memory(points: Sequence[int], vertices: int, config: Config, cuda: 
     # of the transforms (2, on CUDA), or conjugate gradients (8, kept 2) with 6 neighbours a node.
     a_node = 32 * (6 + 4 + (2 if cuda else 0)) if direct else 32 * (6 + 4 + 8 + 2) + 2 * 4 * 9
     # A vertex of a frame: positions, chain, Jacobian and six-vector (92), gradients, searches and paths (170); the
-    # vertex stage adds matrices, rotations and conjugate gradients of 3x3 blocks (260).
-    a_vertex = 92 + 170 + (260 if config.refine.iterations else 0)
+    # vertex stage adds matrices, rotations and conjugate gradients of 3x3 blocks (260), and where a frame is incomplete
+    # the places expected (12).
+    a_vertex = 92 + 170 + (272 if config.refine.iterations else 0)
     search_cells = 2 * min(8 * largest, _CELLS_MAX) + min(8 * vertices, _CELLS_MAX)
     return MemoryEstimate(
         process=_PROCESS,
