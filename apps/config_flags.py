@@ -17,7 +17,8 @@ from typing import Annotated, Any
 from cyclopts import Group, Parameter
 
 from warpdef import config as config_module
-from warpdef.config import Config, preset
+from warpdef.config import Config
+from warpdef.presets import preset
 
 ALIASES = {
     "keyframe.choice": "--keyframe",

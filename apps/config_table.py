@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 from warpdef.apps.config_flags import entries, flag_name
-from warpdef.config import Config, preset
+from warpdef.config import Config
+from warpdef.presets import preset
 
 BEGIN, END = "<!-- configuration: begin -->", "<!-- configuration: end -->"
 

@@ -65,7 +65,7 @@ def deform(
     from warpdef.export.pace import frame_names, pace
     from warpdef.files import read_geometry
     from warpdef.files.frame_files import select_frames
-    from warpdef.files.run_folder import load_run
+    from warpdef.files.saved_run import load_run
 
     started = time.perf_counter()
     chosen = parse_slice(frames)

@@ -49,7 +49,8 @@ def demo(
         json: Print report and measures as JSON on standard output, and nothing else there.
         overwrite: Replace an older result at OUTPUT.
     """
-    from warpdef.files.run_folder import RunFolder, load_run
+    from warpdef.files.run_folder import RunFolder
+    from warpdef.files.saved_run import load_run
 
     if not overwrite:
         RunFolder.prepare(output)  # refuse at once, before the figure is made

@@ -16,7 +16,7 @@ from warpdef.config import parse_slice
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from warpdef.files.run_folder import Run
+    from warpdef.files.saved_run import Run
     from warpdef.mesh import MeshSequence, TriMesh
 
 SAMPLES = 100_000
@@ -46,7 +46,7 @@ def evaluate(
         json: Print metrics.json on standard output, and nothing else there.
     """
     from warpdef.datasets.truth import read_truth
-    from warpdef.files.run_folder import load_run
+    from warpdef.files.saved_run import load_run
 
     chosen = parse_slice(frames)
     run = load_run(output)
@@ -68,7 +68,7 @@ def evaluate_run(
     Raises:
         InputError: a truth that does not fit the run; then nothing is written.
     """
-    from warpdef.files.run_folder import write_metrics
+    from warpdef.files.saved_run import write_metrics
     from warpdef.progress import Progress
     from warpdef.truth.metrics import evaluate as evaluate_meshes
 

@@ -168,7 +168,7 @@ def _about(preset_name: str, config: Config, quick: bool) -> list[str]:
     """What a reader must know to judge the figures: the configuration, and that a quick run shows nothing."""
     from warpdef.apps.config_flags import entries
     from warpdef.apps.experiments.run import value_of
-    from warpdef.config import preset
+    from warpdef.presets import preset
 
     base = preset(preset_name)
     pairs = [(e.key, value_of(config, e.key), value_of(base, e.key)) for e in entries()]

@@ -187,7 +187,7 @@ class Bench:
 
     def tidy(self) -> bool:
         """Whether nothing lies there but a whole result or a checkpoint."""
-        from warpdef.files.run_folder import load_run
+        from warpdef.files.saved_run import load_run
 
         names = {p.name for p in self.place.iterdir()}
         if "out" in names:

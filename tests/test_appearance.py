@@ -16,7 +16,8 @@ from warpdef.errors import InputError
 from warpdef.export import export
 from warpdef.export.animation import Animation, dress, load_animation
 from warpdef.files import read_geometry, read_mesh
-from warpdef.files.run_folder import RunFolder, load_run
+from warpdef.files.run_folder import RunFolder
+from warpdef.files.saved_run import load_run
 from warpdef.mesh import MeshSequence
 
 VERTICES, FACES = icosphere(1)

@@ -15,7 +15,8 @@ from warpdef.apps.evaluate import evaluate_run
 from warpdef.apps.main import run
 from warpdef.config import Config
 from warpdef.files import read_clouds
-from warpdef.files.run_folder import RunFolder, load_run
+from warpdef.files.run_folder import RunFolder
+from warpdef.files.saved_run import load_run
 from warpdef.mesh import MeshSequence
 from warpdef.truth.metrics import METRICS
 

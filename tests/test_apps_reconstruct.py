@@ -15,7 +15,8 @@ from stand_in_method import StandInMethod
 from warpdef.apps.main import run
 from warpdef.files import write_ply
 from warpdef.files.config_file import load_config
-from warpdef.files.run_folder import RunFolder, load_run
+from warpdef.files.run_folder import RunFolder
+from warpdef.files.saved_run import load_run
 
 
 @pytest.fixture

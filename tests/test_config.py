@@ -6,8 +6,9 @@ from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
 
 import pytest
 
-from warpdef.config import PRESETS, Config, OptimiserConfig, group_names, parse_slice, preset
+from warpdef.config import Config, OptimiserConfig, parse_slice
 from warpdef.errors import ConfigError
+from warpdef.presets import PRESETS, preset
 
 POSITIVE = ([0, -1.0], [1e-6, 3.0])
 FROM_ZERO = ([-1e-6], [0, 5.0])
@@ -192,8 +193,3 @@ def test_parse_slice(text, expected):
 def test_parse_slice_refuses(text):
     with pytest.raises(ConfigError, match=r"frames: expected start:stop or start:stop:step, as 10:27, got"):
         parse_slice(text)
-
-
-def test_group_names():
-    assert [key.partition(".")[0] for key in dict.fromkeys(k for k in all_keys() if "." in k)] != []
-    assert list(group_names()) == list(dict.fromkeys(key.partition(".")[0] for key in all_keys() if "." in key))

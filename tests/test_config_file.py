@@ -7,9 +7,10 @@ from typing import Literal, get_args, get_origin, get_type_hints
 
 import pytest
 
-from warpdef.config import PRESETS, Config, preset
+from warpdef.config import Config
 from warpdef.errors import ConfigError
 from warpdef.files.config_file import config_from_mapping, config_to_toml, known_keys, load_config, nearest_key
+from warpdef.presets import PRESETS, preset
 
 
 def altered(config: Config) -> list[Config]:

@@ -11,7 +11,8 @@ from synthetic import bending_bar
 from warpdef.apps.main import run
 from warpdef.config import Config
 from warpdef.files import read_clouds, read_geometry
-from warpdef.files.run_folder import RunFolder, load_run
+from warpdef.files.run_folder import RunFolder
+from warpdef.files.saved_run import load_run
 from warpdef.motion.grid_motion import GridMotion
 from warpdef.sequence import Similarity
 

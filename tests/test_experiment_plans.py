@@ -16,8 +16,9 @@ from warpdef.apps.experiments.own_experiments import IDEAS
 from warpdef.apps.experiments.plan import Plan, Size, benchmark
 from warpdef.apps.experiments.published import ABOVE_FLOOR, PUBLISHED, WORST_FRAME
 from warpdef.apps.experiments.run import TRUTH_TEMPLATE, frame_text, to_and_fro, value_of, with_values
-from warpdef.config import Config, preset
+from warpdef.config import Config
 from warpdef.errors import ConfigError, InputError, WarpdefError
+from warpdef.presets import preset
 
 
 def built(name: str, plan: Plan):

@@ -10,7 +10,8 @@ from warpdef.apps.main import run
 from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.export.pace import frame_names, pace
-from warpdef.files.run_folder import RunFolder, load_run
+from warpdef.files.run_folder import RunFolder
+from warpdef.files.saved_run import load_run
 
 BAR = bending_bar(5, 20, np.random.default_rng(0), subdivisions=1)
 

@@ -13,13 +13,14 @@ import warp as wp
 
 import warpdef
 from warpdef import memory
-from warpdef.config import Config, preset
+from warpdef.config import Config
 from warpdef.errors import DeviceError, InputError
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
 from warpdef.fit.refine import Refinement
 from warpdef.fit.workers import Team
 from warpdef.memory import GIB, estimate_memory, explained_shortage, require_memory, vertices_most
+from warpdef.presets import preset
 
 CPU = wp.get_device("cpu")
 

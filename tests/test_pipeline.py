@@ -12,11 +12,12 @@ import pytest
 import synthetic
 
 import warpdef
-from warpdef.config import Config, preset
+from warpdef.config import Config
 from warpdef.errors import DeviceError, InputError
 from warpdef.files import write_ply
 from warpdef.files.json_text import json_text
 from warpdef.mesh import TriMesh
+from warpdef.presets import preset
 from warpdef.sequence import PointSequence
 
 

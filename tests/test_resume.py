@@ -12,7 +12,7 @@ import pytest
 import synthetic
 
 import warpdef
-from warpdef.config import Config, preset
+from warpdef.config import Config
 from warpdef.errors import InputError, WarpdefError
 from warpdef.files.checkpoint import read_checkpoint, write_checkpoint
 from warpdef.fit import run as run_module
@@ -21,6 +21,7 @@ from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.refine import Refinement
 from warpdef.mesh import TriMesh
+from warpdef.presets import preset
 from warpdef.progress import Clock, Interruption, Limits, Progress
 from warpdef.sequence import PointSequence
 

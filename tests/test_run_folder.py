@@ -17,7 +17,8 @@ from warpdef.errors import InputError
 from warpdef.files import read_mesh, read_mesh_frames, read_mesh_sequence, run_folder
 from warpdef.files.disk import sibling
 from warpdef.files.json_text import json_text
-from warpdef.files.run_folder import RunFolder, load_run, write_metrics
+from warpdef.files.run_folder import RunFolder
+from warpdef.files.saved_run import load_run, write_metrics
 
 pytest.importorskip("tomli_w")
 
@@ -217,7 +218,7 @@ def interrupted(*_args, **_kwargs):
     raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("failing", ["write_npz", "write_ply", "_write_text", "json_text"])
+@pytest.mark.parametrize("failing", ["write_npz", "write_ply", "write_text", "json_text"])
 @pytest.mark.parametrize(("failure", "error"), [(full_disk, InputError), (interrupted, KeyboardInterrupt)])
 def test_failure_leaves_the_old_result(tmp_path, monkeypatch, failing, failure, error):
     out = save(RunFolder.prepare(tmp_path / "out"))

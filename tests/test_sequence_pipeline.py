@@ -15,7 +15,7 @@ import warpdef
 from warpdef.apps.main import run
 from warpdef.config import Config
 from warpdef.errors import InputError
-from warpdef.files.run_folder import load_run
+from warpdef.files.saved_run import load_run
 from warpdef.mesh import TriMesh
 from warpdef.sequence import PointSequence
 

@@ -17,7 +17,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Appearance": "warpdef.appearance",
     "Config": "warpdef.config",
-    "preset": "warpdef.config",
+    "preset": "warpdef.presets",
     "MeshSequence": "warpdef.mesh",
     "TriMesh": "warpdef.mesh",
     "PointSequence": "warpdef.sequence",
@@ -25,7 +25,7 @@ _HOMES = {
     "Reconstruction": "warpdef.result",
     "WarpdefError": "warpdef.errors",
     "evaluate": "warpdef.truth.metrics",
-    "load_run": "warpdef.files.run_folder",
+    "load_run": "warpdef.files.saved_run",
     "read_clouds": "warpdef.files",
     "read_mesh": "warpdef.files",
     "read_mesh_sequence": "warpdef.files",

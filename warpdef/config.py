@@ -1,12 +1,12 @@
 """Every number of the method: frozen, validated, each field one sentence with its source.
 
 Section and equation names are those of *Preconditioned Deformation Grids* (Pacific Graphics 2025). ``Config()`` is
-the ``default`` preset; ``preset("paper")`` holds the paper's own values.
+the ``default`` preset; for others see ``presets``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from warpdef.errors import ConfigError
@@ -329,45 +329,3 @@ def parse_slice(text: str) -> slice:
     ok = len(numbers) in (2, 3) and not (len(numbers) == 3 and numbers[2] == 0)
     _require(ok, "frames", "start:stop or start:stop:step, as 10:27", text)
     return slice(*numbers)
-
-
-PRESETS = ("default", "paper")
-
-
-def preset(name: str) -> Config:
-    """A named Config: ``default`` (measured to be better) or ``paper`` (the published values).
-
-    Raises:
-        ConfigError: an unknown name.
-    """
-    _require(name in PRESETS, "preset", "default or paper", name)
-    base = Config()
-    if name == "default":
-        return base
-    return replace(
-        base,
-        drop_strays=False,
-        grid=replace(base.grid, prune=True),
-        sobolev=replace(base.sobolev, solver="cg"),
-        loss=replace(base.loss, tangential=1.0),
-        template=replace(base.template, depth=10),
-        refine=replace(base.refine, iterations=0),
-        optimiser=replace(
-            base.optimiser,
-            iterations=5000,
-            iterations_per_frame=80.0,
-            warmup=100,
-            rate=5e-3,
-            rate_fall=0.0,
-            decay="constant",
-        ),
-    )
-
-
-def group_names() -> tuple[str, ...]:
-    """The nested groups of ``Config``, in order."""
-    return tuple(
-        f.name
-        for f in fields(Config)
-        if f.default_factory is not None and hasattr(f.default_factory, "__dataclass_fields__")
-    )

@@ -229,7 +229,8 @@ def _template(run: Run, truth: MeshSequence, clouds: PointSequence) -> tuple[Tri
 
 
 def _keep(folder: Path, result: Any, names: tuple[str, ...], metrics: dict[str, Any]) -> None:
-    from warpdef.files.run_folder import RunFolder, write_metrics
+    from warpdef.files.run_folder import RunFolder
+    from warpdef.files.saved_run import write_metrics
 
     write_metrics(
         RunFolder.prepare(folder, overwrite=True).save(

@@ -126,7 +126,7 @@ def load_content(
     from warpdef.export.origin import choose_origin
     from warpdef.files import read_clouds, read_mesh_frames, same_triangles
     from warpdef.files.frame_files import select_frames
-    from warpdef.files.run_folder import load_run
+    from warpdef.files.saved_run import load_run
 
     run = load_run(output)
     clouds, truth = clouds or _beside(output, INPUT_FILES), truth or _beside(output, TRUTH_FILES)

@@ -151,7 +151,7 @@ def load_animation(
     Raises:
         InputError: not a run folder, damaged, no frame left, or a number out of range.
     """
-    from warpdef.files.run_folder import load_run
+    from warpdef.files.saved_run import load_run
 
     run = load_run(path)
     chosen = select_frames(range(len(run.meshes)), frames, 1, run.path)
