@@ -87,6 +87,7 @@ def _rigid_pull(
 def _rest_pull(
     # In:
     begin: int,
+    frames: wp.array(dtype=wp.int32),
     row: wp.array(dtype=wp.int32),
     column: wp.array(dtype=wp.int32),
     rotation: wp.array2d(dtype=wp.mat33),
@@ -94,16 +95,16 @@ def _rest_pull(
     # Out:
     pull_out: wp.array(dtype=wp.vec3),
 ):
-    """One thread a vertex: what all frames, turned back, say of its edges."""
+    """One thread a vertex: what the frames asked, turned back, say of its edges."""
     i = begin + wp.tid()
-    frames = vertices.shape[0]
     total = wp.vec3(0.0, 0.0, 0.0)
-    for t in range(frames):
+    for f in range(frames.shape[0]):
+        t = frames[f]
         for e in range(row[i], row[i + 1]):
             j = column[e]
             d = vertices[t, i] - vertices[t, j]
             total += 0.5 * (wp.transpose(rotation[t, i] + rotation[t, j]) * d)
-    pull_out[i] = total / float(frames)
+    pull_out[i] = total / float(frames.shape[0])
 
 
 def fit_rotations(begin, count, row, column, rest, vertices, rotation_out):
@@ -121,6 +122,10 @@ def rigid_pull(begin, count, weight, row, column, rest, rotation, vertices, pull
     launch(_rigid_pull, count, [begin, weight, row, column, rest, rotation, vertices, pull_out], vertices.device)
 
 
-def rest_pull(begin, count, row, column, rotation, vertices, pull_out):
-    """Right-hand side of L y = pull for the best rest shape, vertices ``begin .. begin + count``; shape (V,) vec3."""
-    launch(_rest_pull, count, [begin, row, column, rotation, vertices, pull_out], vertices.device)
+def rest_pull(begin, count, frames, row, column, rotation, vertices, pull_out):
+    """Right-hand side of L y = pull for the best rest shape, vertices ``begin .. begin + count``; shape (V,) vec3.
+
+    Args:
+        frames: those that are asked, shape (A,) int32, at least one. All else as in ``fit_rotations``.
+    """
+    launch(_rest_pull, count, [begin, frames, row, column, rotation, vertices, pull_out], vertices.device)

@@ -150,6 +150,19 @@ def test_a_template_that_does_not_descend_stays(ellipsoid, device: str) -> None:
     np.testing.assert_allclose(run.vertices[1], ellipsoid.vertices[1], rtol=0, atol=2e-6)
 
 
+@pytest.mark.parametrize("seen", [0.0, 9.0])
+def test_a_keyframe_that_shows_a_part_moves_no_template(seen: float, device: str) -> None:
+    """Of a mesh given, what the keyframe does not show is known from the mesh alone."""
+    moving = synthetic.turning_ellipsoid(4, 900, np.random.default_rng(0), subdivisions=1)
+    kept = moving.clouds[1][:, 0] < seen
+    clouds, normals = list(moving.clouds), list(moving.normals)
+    clouds[1], normals[1] = clouds[1][kept], normals[1][kept]
+    run = Run(replace(moving, clouds=clouds, normals=normals), configured(), device, 12)
+    assert run.optimiser.problem.complete[1] == (seen > 1)
+    moved = np.abs(run.vertices[1] - moving.vertices[1]).max()
+    assert moved > 1e-4 if seen > 1 else moved < 1e-6
+
+
 def test_during_warm_up_the_template_descends_and_isometry_waits(ellipsoid, device: str) -> None:
     run = Run(ellipsoid, configured(optimiser={"warmup": 3}), device, 5)
     assert [told["isometry"] > 0 for told in run.losses] == [False, False, False, True, True]

@@ -32,6 +32,37 @@ def test_what_a_frame_does_not_show_is_where_its_neighbours_say(device: str, rng
     )
 
 
+@pytest.mark.parametrize(
+    ("whole", "held"),
+    [
+        ([0, 2, 4, 6], [1, 3, 5]),
+        ([0, 4], [1, 3, 5]),
+        ([3], [2, 4]),
+        ([0, 1, 2, 5, 6], [3, 4]),
+        ([1, 2, 3, 4, 5], [0, 6]),
+        ([2, 3, 4], [1, 5]),
+        ([], []),
+    ],
+)
+def test_a_guess_from_guesses_is_none(whole: list[int], held: list[int], device: str, rng: np.random.Generator) -> None:
+    """What is not seen is held only beside a frame that shows all."""
+    scene = Scene.make(7, 500, rng, seen=lambda t, p: (p[:, 0] < 0) | (t in whole))
+    run = Run(scene, scene.vertices, device, 1, keyframe=3)
+    np.testing.assert_array_equal(np.flatnonzero(run.problem.complete), whole)
+    np.testing.assert_array_equal(np.flatnonzero(run.stage._hold.numpy()), held)
+
+
+def test_the_shape_is_that_of_frames_that_show_all(device: str, rng: np.random.Generator) -> None:
+    """Frames that show one half say nothing, however wrong the other half of their meshes is."""
+    scene = Scene.make(5, 800, rng, seen=lambda t, p: (p[:, 0] < 0) | (t % 2 == 0))
+    bent = scene.vertices
+    bent[1::2] += 0.3 * np.clip(scene.body[:, :1], 0, None) * [0, 0, 1]
+    run, straight = (Run(scene, start, device, 1, keyframe=2) for start in (bent, scene.vertices))
+    np.testing.assert_array_equal(np.flatnonzero(run.problem.complete), [0, 2, 4])
+    np.testing.assert_array_equal(run.rest, straight.rest)
+    assert np.abs(run.rest - scene.vertices[2]).max() > 0
+
+
 def test_partial_frames_are_not_taken_for_lost_ones(device: str, rng: np.random.Generator) -> None:
     """Frames 0 and 2 show two caps that nothing joins: half of their points is on no connected part."""
     scene = Scene.make(5, 900, rng, seen=lambda t, p: (np.abs(p[:, 0]) > 0.3) | (t not in (0, 2)))

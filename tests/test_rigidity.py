@@ -45,10 +45,12 @@ class Mesh:
             rigid_pull(begin, count, weight, self.row, self.column, rest, turned, moving, out)
         return out.numpy()
 
-    def rest_pull(self, x, rotation, cuts=WHOLE) -> np.ndarray:
+    def rest_pull(self, x, rotation, cuts=WHOLE, frames=None) -> np.ndarray:
         moving, turned, out = self.put(x), self.put(rotation, wp.mat33), self.put(np.full(x.shape[1:], np.nan))
+        asked = np.arange(len(x)) if frames is None else np.asarray(frames)
+        asked = wp.array(asked.astype(np.int32), dtype=wp.int32, device=self.device)
         for begin, count in self.spans(cuts, self.count):
-            rest_pull(begin, count, self.row, self.column, turned, moving, out)
+            rest_pull(begin, count, asked, self.row, self.column, turned, moving, out)
         return out.numpy()
 
 
@@ -189,6 +191,14 @@ def test_rigid_pull_is_minus_half_the_gradient(mesh: Mesh, state) -> None:
 def test_rest_pull_matches_the_twin(mesh: Mesh, state) -> None:
     x, _, rotation = state
     assert_gradients_close(mesh.rest_pull(x, rotation), twin.rest_pull(x, rotation, mesh.edges))
+
+
+@pytest.mark.parametrize("frames", [[1], [0, 2], [2, 0, 1]])
+def test_only_frames_asked_say_what_the_shape_is(frames, mesh: Mesh, state) -> None:
+    x, _, rotation = state
+    found = mesh.rest_pull(x, rotation, frames=frames)
+    assert_gradients_close(found, twin.rest_pull(x[frames], rotation[frames], mesh.edges))
+    np.testing.assert_array_equal(mesh.rest_pull(x[frames], rotation[frames]), found)
 
 
 def test_rest_pull_is_minus_half_the_gradient_at_zero_over_the_frames(mesh: Mesh, state) -> None:

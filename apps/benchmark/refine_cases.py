@@ -104,7 +104,7 @@ def _rigid(bed: Bed) -> list[Case]:
     p, o, c = bed.problem, bed.objective, bed.problem.config.refine
     x, frames, count = wp.clone(o.vertices), p.frame_count, p.vertex_count
     total, half_edges = frames * count, frames * len(p.mesh.column)
-    mesh = (p.integers(p.mesh.row), p.integers(p.mesh.column))
+    mesh, every = (p.integers(p.mesh.row), p.integers(p.mesh.column)), p.integers(np.arange(frames))
     rest = wp.clone(x[p.transitions.keyframe])
     rotation = _filled(bed, wp.mat33, total).reshape(x.shape)
     fit_rotations(0, total, *mesh, rest, x, rotation)
@@ -112,7 +112,7 @@ def _rigid(bed: Bed) -> list[Case]:
     tasks = {
         "rotations": bed.span_tasks(lambda a, n: fit_rotations(a, n, *mesh, rest, x, rotation), _spans(bed)),
         "pull": bed.span_tasks(lambda a, n: rigid_pull(a, n, 1.0, *mesh, rest, rotation, x, pull), _spans(bed)),
-        "rest": bed.vertex_tasks(lambda a, n: rest_pull(a, n, *mesh, rotation, x, rest_sum)),
+        "rest": bed.vertex_tasks(lambda a, n: rest_pull(a, n, every, *mesh, rotation, x, rest_sum)),
     }
     i, j = np.repeat(np.arange(count), np.diff(p.mesh.row)), p.mesh.column
     x_numpy, y, fitted = x.numpy(), rest.numpy(), rotation.numpy()

@@ -55,7 +55,9 @@ class Optimiser:
         finest_first = self.config.rate * self.config.rate_growth ** np.arange(
             problem.config.grid.coarsest - 1, problem.config.grid.levels
         )
-        self._rates = factor * finest_first[problem.levels.node_level()], np.array([factor * self.config.template_rate])
+        # What a keyframe does not show of a template given is known from the template alone: it stays.
+        shape_rate = self.config.template_rate if problem.complete[problem.transitions.keyframe] else 0.0
+        self._rates = factor * finest_first[problem.levels.node_level()], np.array([factor * shape_rate])
         self._rate, self._shape_rate = (problem.numbers(rate) for rate in self._rates)
         self.rate_scale = 1.0
 

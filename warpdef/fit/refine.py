@@ -86,6 +86,8 @@ class Refinement:
         self._lay_pairs()
         self._lay_borders()
         self._lay_times()
+        # Where an incomplete frame shows nothing, its mesh is a guess from the shape: asked only if no frame shows all.
+        self._telling = p.integers(np.flatnonzero(p.complete | ~p.complete.any()))
         self.solves = SolveReport("block cg")
         # Whether a frame's normals were given sides by the mesh; this and the next belong to the state: on the device.
         self._doubtful = p.integers(~p.oriented)
@@ -127,9 +129,8 @@ class Refinement:
         near[0], far[0], near[-1], far[-1] = 1, 2, t[-2], t[-3]
         between = np.ones(p.frame_count)
         between[[0, -1]] = 0
-        held = ~p.complete
-        # Beyond two frames is no guess if the nearer one is a guess itself.
-        held[[0, -1]] &= p.complete[[1, -2]]
+        # A guess from guesses is none: one of the frames around must show all, at either end the nearer one.
+        held = ~p.complete & (p.complete[near] | (p.complete[far] & (between == 1)))
         self._times = p.integers(near), p.integers(far), p.integers(between)
         self._hold = p.numbers(np.where(held, _HOLD, 0.0))
         self._expected = wp.zeros_like(self.objective.vertices)
@@ -264,7 +265,8 @@ class Refinement:
         expected_places(begin, count, *self._times, self.objective.vertices, self._rotation, self._expected)
 
     def _ask_frames(self, begin: int, count: int) -> None:
-        rest_pull(begin, count, self._row, self._column, self._rotation, self.objective.vertices, self._shape_pull)
+        mesh = (self._row, self._column)
+        rest_pull(begin, count, self._telling, *mesh, self._rotation, self.objective.vertices, self._shape_pull)
 
     def _fit_shape(self) -> None:
         """(I + s L) y = y_old + s pull: the optimum L y = pull, at the cost of s^-1 of staying."""
