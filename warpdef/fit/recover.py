@@ -168,7 +168,9 @@ class _Search:
         for rule in ((REACH, AGREEMENT), *looser):
             again = _bend(self._graph, rest, self._matches[t], rule)
             left = self._matches[t].uncovered(again)
-            if left <= max(_BETTER * self.uncovered[t], self._bound):
+            # Looser matches are trusted only if in the end nothing is lost.
+            enough = self._bound if rule in looser else max(_BETTER * self.uncovered[t], self._bound)
+            if left <= enough:
                 self.vertices[t], self.uncovered[t] = again, left
                 self.recovered.add(t)
             if not self.lost(t):
