@@ -83,7 +83,9 @@ def read_only(bench: Bench) -> bool:
     timer.join()
     bench.place.chmod(0o777)
     if outcome.code == 0:
-        return bench.same()
+        # Read-only between the result and the removal of its checkpoint: that one stays, and the run says so.
+        left = bench.checkpoint.exists()
+        return bench.tidy() and bench.result() == bench.truth and left == ("cannot be removed" in outcome.said)
     if not outcome.refused or bench.out.exists():
         return False
     # Before the first checkpoint there is nothing to go on with: another run must do.
