@@ -11,9 +11,10 @@ noisier the clouds (measured by how thick they are locally), the stiffer, and th
 border of an open mesh reaches for where the points end (``kernels.borders``); what a frame does not show is held by the
 frames around it (``kernels.unseen``).
 
-A round is three phases: every frame pairs, solves for its moves and fits its rotations; every vertex asks all frames
-for its edges; the shape is solved for. Where a frame is incomplete a phase before them says where its vertices are
-expected. Part of the way through, frames that lost a limb are fitted again (``recover``).
+A round is three phases: every frame pairs, solves for its moves and fits its rotations; every vertex asks the frames
+that show all of the surface for its edges, or all frames if none does; the shape is solved for. Where an incomplete
+frame is held, a phase before them says where its vertices are expected. Part of the way through, frames that lost a
+limb are fitted again (``recover``).
 """
 
 from __future__ import annotations
@@ -133,7 +134,8 @@ class Refinement:
         held = ~p.complete & (p.complete[near] | (p.complete[far] & (between == 1)))
         self._times = p.integers(near), p.integers(far), p.integers(between)
         self._hold = p.numbers(np.where(held, _HOLD, 0.0))
-        self._expected = wp.zeros_like(self.objective.vertices)
+        if held.any():
+            self._expected = wp.zeros_like(self.objective.vertices)
 
     def prepare(self) -> None:
         """CPU: record all commands, which compiles what they need."""
