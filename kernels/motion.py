@@ -200,3 +200,33 @@ def scatter_vertices(begin, count, transition, source, levels, vertices, adj_mot
     """Add the six-vector gradients of one step, shape (S, V) node8, to the nodes around the vertices of ``source``."""
     inputs = [begin, transition, source, levels, len(levels) // 2, vertices, adj_motion, adj_nodes_out]
     launch(_scatter_vertices, count, inputs, adj_nodes_out.device)
+
+
+@wp.kernel
+def _template_gradient(
+    # In:
+    keyframe: int,
+    follow: int,
+    adj_chamfer: wp.array2d(dtype=wp.vec3),
+    adj_isometry: wp.array2d(dtype=wp.vec3),
+    carry: wp.array2d(dtype=wp.vec3),
+    # Out:
+    adj_template_out: wp.array(dtype=wp.vec3),
+):
+    """One thread a vertex."""
+    i = wp.tid()
+    a = adj_chamfer[keyframe, i]
+    if follow != 0:
+        a = a + adj_isometry[keyframe, i] + carry[keyframe, i] + carry[carry.shape[0] - 1, i]
+    adj_template_out[i] = a
+
+
+def template_gradient(keyframe, follow, adj_chamfer, adj_isometry, carry, adj_template_out):
+    """Gradient of the template: the mesh term alone, or with ``follow`` everything that reaches the keyframe.
+
+    Args:
+        adj_chamfer, adj_isometry: shape (T, V) vec3. carry: shape (T + 1, V) vec3, see ``adj_move_vertices``.
+        adj_template_out: shape (V,) vec3.
+    """
+    inputs = [keyframe, int(follow), adj_chamfer, adj_isometry, carry, adj_template_out]
+    launch(_template_gradient, len(adj_template_out), inputs, adj_template_out.device)

@@ -18,7 +18,8 @@ from warpdef.apps.benchmark.session import Options, chosen_sizes, targets
 from warpdef.apps.benchmark.sizes import PARTS, ROWS, SIZES, WORK, Size, selection
 from warpdef.apps.benchmark.timing import Effort, Timing, fit_exponent, measure, null_test
 from warpdef.errors import InputError
-from warpdef.mesh import MeshSequence, unique_edges
+from warpdef.geometry.triangles import unique_edges
+from warpdef.mesh import MeshSequence
 from warpdef.sequence import PointSequence
 
 

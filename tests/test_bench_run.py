@@ -24,8 +24,8 @@ from warpdef.apps.benchmark.scaling import run_sweeps
 from warpdef.apps.benchmark.sizes import ROWS, WORK, Size, selection
 from warpdef.apps.benchmark.timing import QUICK
 from warpdef.apps.main import run
+from warpdef.device import find_device
 from warpdef.errors import WarpdefError
-from warpdef.fit.workers import find_device
 
 TINY = Size("tiny", 3, 200, 300, 4, 24)
 

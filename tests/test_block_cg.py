@@ -9,9 +9,9 @@ import warp as wp
 from scipy.sparse import block_diag, csr_matrix, diags, identity, kron
 from scipy.sparse.linalg import spsolve
 
+from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.block_cg import BlockSolver
 from warpdef.kernels.graphs import Graph, mesh_graph
-from warpdef.mesh import unique_edges
 
 FRAMES, ALPHA, BETA = 4, 0.3, 0.01
 

@@ -9,10 +9,10 @@ import warp as wp
 from scipy.sparse import csr_matrix, identity
 from scipy.sparse.linalg import spsolve
 
+from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.cg import ConjugateGradients
 from warpdef.kernels.graphs import Graph, grid_graph, mesh_graph
 from warpdef.kernels.levels import LevelTable, node8
-from warpdef.mesh import unique_edges
 
 WIDTH = {wp.vec3: 3, node8: 8}
 

@@ -9,9 +9,9 @@ import synthetic
 import warp as wp
 
 from warpdef.fit.sobolev import factorise
+from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.cholesky import CholeskySolver, Factor
 from warpdef.kernels.graphs import mesh_graph
-from warpdef.mesh import unique_edges
 
 
 def solve(factor: Factor, rhs: np.ndarray, in_place: bool = False) -> np.ndarray:

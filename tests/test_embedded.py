@@ -7,7 +7,7 @@ import pytest
 from synthetic import icosphere
 
 from warpdef.fit.embedded import DeformationGraph, Pose, _cross_matrix, _rotations
-from warpdef.mesh import unique_edges
+from warpdef.geometry.triangles import unique_edges
 
 
 def rotation(axis: list[float], angle: float) -> np.ndarray:

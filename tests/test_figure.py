@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from warpdef.errors import InputError, MissingPackageError
-from warpdef.mesh import MeshSequence, TriMesh, unique_edges
+from warpdef.geometry.triangles import unique_edges
+from warpdef.mesh import MeshSequence, TriMesh
 from warpdef.truth.figure import walking_figure
 from warpdef.truth.skinning import chain_motions, skin, smooth_weights
 

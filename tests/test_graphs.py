@@ -7,9 +7,9 @@ import pytest
 import reference
 import synthetic
 
+from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.graphs import Graph, grid_graph, kept_nodes, mesh_graph
 from warpdef.kernels.levels import LevelTable
-from warpdef.mesh import unique_edges
 
 
 def dense(graph: Graph) -> np.ndarray:

@@ -10,9 +10,9 @@ import warp as wp
 import witness
 from gradients import assert_gradients_close, finite_differences
 
+from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.graphs import mesh_graph
 from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
-from warpdef.mesh import unique_edges
 
 by_vertex = {"on": False}
 

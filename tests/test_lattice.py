@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from warpdef import topology
+from warpdef.geometry import triangles
 from warpdef.template.lattice import (
     _TETRAHEDRA,
     AXES,
@@ -54,9 +54,9 @@ def test_six_tetrahedra_fill_a_cube_the_same_way_round() -> None:
 def test_a_sphere(radius: float) -> None:
     lattice = cube(33)
     vertices, faces = surface(lattice, np.linalg.norm(positions(lattice), axis=3) - radius)
-    assert topology.is_watertight(faces)
-    assert topology.euler_number(faces) == 2
-    assert topology.signed_volume(vertices, faces) == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.03)
+    assert triangles.is_watertight(faces)
+    assert triangles.euler_number(faces) == 2
+    assert triangles.signed_volume(vertices, faces) == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.03)
     assert np.abs(np.linalg.norm(vertices, axis=1) - radius).max() < 0.01
     normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
     assert ((normals * vertices[faces].mean(axis=1)).sum(axis=1) > -1e-9).all()
@@ -66,10 +66,10 @@ def test_a_ring_has_a_handle_and_two_balls_are_two() -> None:
     lattice = cube(33)
     x, y, z = np.moveaxis(positions(lattice), 3, 0)
     _, ring = surface(lattice, np.hypot(np.hypot(x, y) - 0.6, z) - 0.22)
-    assert topology.is_watertight(ring) and topology.euler_number(ring) == 0
+    assert triangles.is_watertight(ring) and triangles.euler_number(ring) == 0
     two = np.minimum(*(np.sqrt((x - c) ** 2 + y**2 + z**2) - 0.3 for c in (-0.5, 0.5)))
     _, balls = surface(lattice, two)
-    assert topology.face_components(balls).max() == 1 and topology.euler_number(balls) == 4
+    assert triangles.face_components(balls).max() == 1 and triangles.euler_number(balls) == 4
 
 
 @pytest.mark.parametrize("levels", [0, 3])
@@ -82,11 +82,11 @@ def test_any_field_gives_a_closed_manifold(levels: int, rng: np.random.Generator
     for axis in range(3):
         np.moveaxis(distance, axis, 0)[[0, -1]] = 1.0
     edges, faces = march(lattice, distance)
-    assert topology.is_watertight(faces)
+    assert triangles.is_watertight(faces)
     inside = (distance < 0).ravel()
     assert (inside[edges[:, 0]] != inside[edges[:, 1]]).all()
     assert len(np.unique(edges, axis=0)) == len(edges) and len(np.unique(faces)) == len(edges)
-    assert topology.signed_volume(*surface(lattice, np.where(distance < 0, -1.0, 1.0))) > 0
+    assert triangles.signed_volume(*surface(lattice, np.where(distance < 0, -1.0, 1.0))) > 0
 
 
 def test_one_node_inside() -> None:
@@ -96,7 +96,7 @@ def test_one_node_inside() -> None:
     distance[1, 1, 1] = -1
     edges, faces = march(lattice, distance)
     assert (len(edges), len(faces)) == (14, 24)
-    assert topology.is_watertight(faces) and topology.euler_number(faces) == 2
+    assert triangles.is_watertight(faces) and triangles.euler_number(faces) == 2
 
 
 def test_nothing_inside() -> None:

@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 from warpdef.kernels.launching import launch, recording, require
-from warpdef.kernels.schedule import clear_losses
+from warpdef.kernels.vectors import clear_losses
 
 
 @pytest.fixture

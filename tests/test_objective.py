@@ -17,7 +17,8 @@ from warpdef.config import Config
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import Problem
 from warpdef.kernels.levels import node8
-from warpdef.kernels.schedule import DELTA, SCHEDULE_SIZE, template_gradient
+from warpdef.kernels.motion import template_gradient
+from warpdef.kernels.schedule import DELTA, SCHEDULE_SIZE
 
 # Chosen so that every term has a say: on sums, isometry at 250 would be a few per cent of a toy's loss.
 LOSS = {

@@ -10,12 +10,13 @@ import pytest
 import synthetic
 
 from warpdef.config import Config
+from warpdef.device import find_device
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.outward import follow_outwards
 from warpdef.fit.problem import Problem
 from warpdef.fit.recover import Cloud, Matches, Surface
 from warpdef.fit.refine import Refinement
-from warpdef.fit.workers import Team, find_device
+from warpdef.fit.workers import Team
 
 FRAMES, KEYFRAME = 13, 6
 BODY = synthetic.turning_ellipsoid(FRAMES, 1500, np.random.default_rng(0), subdivisions=3)

@@ -64,7 +64,7 @@ def test_a_cloud_sequence_becomes_a_moving_mesh(truth, clouds, device: str) -> N
 
 def off(truth: synthetic.Synthetic, vertices: np.ndarray) -> list[float]:
     """Mean distance of the vertices to the true surface, a frame."""
-    from warpdef.truth.distances import closest_on_surface
+    from warpdef.geometry.closest import closest_on_surface
 
     return [closest_on_surface(x, v, truth.faces)[0].mean() for x, v in zip(vertices, truth.vertices, strict=True)]
 

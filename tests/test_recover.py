@@ -7,7 +7,7 @@ import pytest
 from synthetic import icosphere, sample_surface
 
 from warpdef.fit.recover import Cloud, Matches, Surface, recover
-from warpdef.mesh import unique_edges
+from warpdef.geometry.triangles import unique_edges
 
 DEGREE = np.pi / 180
 LEGS = (20 * DEGREE, -20 * DEGREE)

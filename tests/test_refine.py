@@ -10,7 +10,7 @@ import reference_refine as twin
 from refine_samples import AXES, Run, Scene, mean_square
 
 from warpdef.config import Config
-from warpdef.mesh import unique_edges
+from warpdef.geometry.triangles import unique_edges
 
 
 @pytest.fixture

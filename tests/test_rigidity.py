@@ -10,9 +10,9 @@ import warp as wp
 import witness_refine
 from gradients import assert_gradients_close, finite_differences
 
+from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.graphs import mesh_graph
 from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
-from warpdef.mesh import unique_edges
 
 WHOLE = (0, None)
 

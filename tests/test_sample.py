@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from warpdef.errors import InputError
+from warpdef.geometry.sampling import sample_surface
 from warpdef.mesh import MeshSequence, TriMesh
-from warpdef.truth.sample import sample_sequence, sample_surface
+from warpdef.truth.sample import sample_sequence
 
 # Two right triangles in the plane z = 0, of areas 1/2 and 3/2, and one without area.
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [8, 0, 0], [5, 1, 0]], dtype=float)
@@ -82,7 +83,7 @@ def test_clean_clouds_have_the_faces_normals() -> None:
 
 @pytest.mark.parametrize(("noise", "normals"), [(0.001, "auto"), (0.0, "estimated")])
 def test_normals_are_estimated_from_the_cloud(noise: float, normals: str) -> None:
-    from warpdef.template.normals import estimate_normals
+    from warpdef.geometry.cloud_normals import estimate_normals
 
     cloud = sample_sequence(moving_cube(), 300, noise=noise, normals=normals)
     np.testing.assert_allclose(cloud.normals[1], estimate_normals(cloud.points[1], neighbours=16))

@@ -7,23 +7,11 @@ import pytest
 import reference
 import warp as wp
 
+from warpdef.kernels.confidence import confidence
 from warpdef.kernels.levels import node8
-from warpdef.kernels.schedule import (
-    BIAS_1,
-    BIAS_2,
-    DELTA,
-    RATE_SCALE,
-    SCHEDULE_SIZE,
-    add_scaled,
-    advance,
-    blend,
-    clear_losses,
-    clear_nodes,
-    clear_vectors,
-    confidence,
-    copy_vectors,
-    template_gradient,
-)
+from warpdef.kernels.motion import template_gradient
+from warpdef.kernels.schedule import BIAS_1, BIAS_2, DELTA, RATE_SCALE, SCHEDULE_SIZE, advance
+from warpdef.kernels.vectors import add_scaled, blend, clear_losses, clear_nodes, clear_vectors, copy_vectors
 
 
 @pytest.mark.parametrize("cosine", [False, True])

@@ -10,8 +10,8 @@ from synthetic import icosphere, turn_about
 from warpdef.config import KeyframeConfig
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.files import read_clouds
-from warpdef.gaps import fill_gaps
 from warpdef.mesh import float32_where_exact
+from warpdef.motion.gaps import fill_gaps
 from warpdef.sequence import PointSequence, Similarity, name_frames
 from warpdef.template.keyframe import rank_keyframes
 

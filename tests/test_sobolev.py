@@ -12,9 +12,9 @@ import warp as wp
 
 from warpdef.config import Config
 from warpdef.fit.sobolev import SolveReport, grid_solver, level_lambdas, solver_name, template_solvers
+from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.graphs import mesh_graph
 from warpdef.kernels.levels import LevelTable, node8
-from warpdef.mesh import unique_edges
 
 
 def configured(solver: str = "auto", prune: bool = False, levels: int = 3, **sobolev) -> Config:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from synthetic import icosphere
 
-from warpdef import topology
 from warpdef.config import Config, KeyframeConfig, TemplateConfig
 from warpdef.errors import InputError, MissingPackageError
+from warpdef.geometry import triangles
 from warpdef.mesh import TriMesh
 from warpdef.template import build as building
 from warpdef.template import choose as template
@@ -55,13 +55,13 @@ def test_a_ball_becomes_a_closed_even_outward_mesh_on_its_points(backend, rng, g
     points, normals = ball(rng)
     built = template.build(points, normals if given else None, SMALL, backend)
     vertices, faces = built.mesh.vertices, built.mesh.faces
-    assert topology.is_watertight(faces)
-    assert topology.euler_number(faces) == 2
-    assert topology.signed_volume(vertices, faces) == pytest.approx(4 / 3 * np.pi * 0.9 * 0.6 * 0.5, rel=0.05)
+    assert triangles.is_watertight(faces)
+    assert triangles.euler_number(faces) == 2
+    assert triangles.signed_volume(vertices, faces) == pytest.approx(4 / 3 * np.pi * 0.9 * 0.6 * 0.5, rel=0.05)
     assert len(np.unique(faces)) == len(vertices)
-    assert topology.face_areas(vertices, faces).min() > 0
+    assert triangles.face_areas(vertices, faces).min() > 0
     assert 0.9 * 1500 <= len(faces) <= 1500
-    assert topology.triangle_quality(vertices, faces) > 0.9
+    assert triangles.triangle_quality(vertices, faces) > 0.9
     assert np.abs((vertices / [0.9, 0.6, 0.5]) ** 2 @ np.ones(3) - 1).max() < 0.1
     assert built.report.normals == ("given" if given else "estimated")
     assert built.report.backend == backend.name
@@ -88,15 +88,15 @@ def test_units_and_place_do_not_matter(rng):
     near = template.build(points, normals, SMALL)
     far = template.build(points * 1000.0 + 5000.0, normals, SMALL)
     assert near.report.depth == far.report.depth
-    volume = topology.signed_volume(near.mesh.vertices, near.mesh.faces)
-    assert topology.signed_volume(far.mesh.vertices, far.mesh.faces) == pytest.approx(volume * 1e9, rel=1e-3)
+    volume = triangles.signed_volume(near.mesh.vertices, near.mesh.faces)
+    assert triangles.signed_volume(far.mesh.vertices, far.mesh.faces) == pytest.approx(volume * 1e9, rel=1e-3)
     assert far.report.edge_length == pytest.approx(near.report.edge_length * 1000, rel=1e-3)
 
 
 def test_inverted_normals_are_turned_over_and_told(rng):
     points, normals = ball(rng)
     built = template.build(points, -normals, SMALL)
-    assert topology.signed_volume(built.mesh.vertices, built.mesh.faces) > 0
+    assert triangles.signed_volume(built.mesh.vertices, built.mesh.faces) > 0
     assert built.report.flipped == len(points)
     assert "600 of 600 given normals pointed inwards" in built.warnings[0]
 
@@ -106,8 +106,8 @@ def test_a_second_body_gets_a_piece_of_its_own_and_crumbs_are_left_out(rng):
     second, crumb = points[:400] * 0.6 + [0.7, 0, 0], points[:15] * 0.2 + [0, 0.8, 0]
     cloud = np.concatenate([points, second, crumb])
     built = template.build(cloud, np.concatenate([normals, normals[:400], normals[:15]]), SMALL)
-    assert topology.face_components(built.mesh.faces).max() == 1
-    assert topology.is_watertight(built.mesh.faces)
+    assert triangles.face_components(built.mesh.faces).max() == 1
+    assert triangles.is_watertight(built.mesh.faces)
     assert built.mesh.vertices[:, 0].max() > 0.8 and built.mesh.vertices[:, 1].max() < 0.4
     assert built.report.left_out > 0
 
@@ -151,7 +151,7 @@ def test_an_inside_out_surface_is_turned(rng):
     vertices, faces = icosphere(2)
     inside_out = poisson.Backend("none", lambda *_: (vertices, faces[:, ::-1]), lambda v, f, h: (v, f))
     built = template.build(ball(rng)[0], None, SMALL, inside_out)
-    assert topology.signed_volume(built.mesh.vertices, built.mesh.faces) > 0
+    assert triangles.signed_volume(built.mesh.vertices, built.mesh.faces) > 0
 
 
 # --- choosing ---------------------------------------------------------------------------------------------------------

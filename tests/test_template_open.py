@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic import icosphere, sample_surface
 
-from warpdef import topology
 from warpdef.config import TemplateConfig
+from warpdef.geometry import triangles
 from warpdef.template import build as building
 from warpdef.template import clusters
 from warpdef.template.cut import cut_at_zero
@@ -40,24 +40,24 @@ def tube(rng: np.random.Generator, count: int = 1500) -> tuple[np.ndarray, np.nd
 def test_a_cut_follows_the_contour_without_slivers(height):
     vertices, faces = icosphere(4)
     kept, kept_faces = cut_at_zero(vertices, faces, vertices[:, 2] - height)
-    ends = kept[np.unique(topology.boundary_edges(kept_faces))]
+    ends = kept[np.unique(triangles.boundary_edges(kept_faces))]
     assert np.abs(ends[:, 2] - height).max() < 0.002
     assert kept[:, 2].min() > height - 0.002
-    assert topology.boundary_loops(kept_faces) == 1 and topology.euler_number(kept_faces) == 1
-    assert topology.face_areas(kept, kept_faces).sum() == pytest.approx(2 * np.pi * (1 - height), rel=0.01)
-    areas = topology.face_areas(kept, kept_faces)
+    assert triangles.boundary_loops(kept_faces) == 1 and triangles.euler_number(kept_faces) == 1
+    assert triangles.face_areas(kept, kept_faces).sum() == pytest.approx(2 * np.pi * (1 - height), rel=0.01)
+    areas = triangles.face_areas(kept, kept_faces)
     assert areas.min() > 0.05 * np.median(areas)
     # Faces keep their side.
-    assert (topology.vertex_normals(kept, kept_faces) * kept).sum(axis=1).min() > 0.9
+    assert (triangles.vertex_normals(kept, kept_faces) * kept).sum(axis=1).min() > 0.9
 
 
 def test_a_cut_through_vertices_and_of_everything_or_nothing():
     grid = np.array([[x, y, 0.0] for y in range(3) for x in range(3)])
     faces = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [3, 4, 7], [3, 7, 6], [4, 5, 8], [4, 8, 7]])
     half, half_faces = cut_at_zero(grid, faces, 1.0 - grid[:, 0])
-    assert topology.face_areas(half, half_faces).sum() == pytest.approx(2.0)
+    assert triangles.face_areas(half, half_faces).sum() == pytest.approx(2.0)
     third, third_faces = cut_at_zero(grid, faces, 0.5 - grid[:, 0])
-    assert topology.face_areas(third, third_faces).sum() == pytest.approx(1.0)
+    assert triangles.face_areas(third, third_faces).sum() == pytest.approx(1.0)
     assert cut_at_zero(grid, faces, np.full(9, -1.0))[1].shape == (0, 3)
     assert len(cut_at_zero(grid, faces, np.ones(9))[1]) == 8
 
@@ -66,8 +66,8 @@ def test_a_random_level_leaves_a_manifold(rng):
     vertices, faces = icosphere(3)
     for _ in range(20):
         kept, kept_faces = cut_at_zero(vertices, faces, rng.normal(size=len(vertices)))
-        assert topology.edge_use(kept_faces).max() <= 2
-        again, _ = topology.separate_touching(kept, kept_faces)
+        assert triangles.edge_use(kept_faces).max() <= 2
+        again, _ = triangles.separate_touching(kept, kept_faces)
         assert len(again) == len(kept)
 
 
@@ -125,12 +125,12 @@ def test_an_open_surface_gets_an_open_template(rng, shape, area, loops, given):
     built = building.build(points, normals if given else None, SMALL)
     vertices, faces = built.mesh.vertices, built.mesh.faces
     assert built.report.surface == "open" and built.report.trimmed > 0.05
-    assert (topology.boundary_loops(faces), topology.edge_use(faces).max()) == (loops, 2)
-    assert topology.face_areas(vertices, faces).sum() == pytest.approx(area, rel=0.03)
-    assert topology.triangle_quality(vertices, faces) > 0.95
+    assert (triangles.boundary_loops(faces), triangles.edge_use(faces).max()) == (loops, 2)
+    assert triangles.face_areas(vertices, faces).sum() == pytest.approx(area, rel=0.03)
+    assert triangles.triangle_quality(vertices, faces) > 0.95
     assert 0.85 * 2500 <= len(faces) <= 2500
     # The border is as smooth as its triangles are small.
-    ends = vertices[topology.boundary_edges(faces)]
+    ends = vertices[triangles.boundary_edges(faces)]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum()
     true_length = {bowl: 2 * np.pi, tube: 1.6 * np.pi}[shape]
     assert 0.95 * true_length < length < 1.1 * true_length
@@ -140,10 +140,10 @@ def test_closed_stays_closed_and_the_users_word_counts(rng):
     points, normals = bowl(rng, height=0.97)  # its opening is smaller than far_share_max
     assert building.build(points, normals, SMALL).report.surface == "closed"
     opened = building.build(points, normals, TemplateConfig(faces_max=2500, surface="open"))
-    assert opened.report.surface == "open" and topology.boundary_loops(opened.mesh.faces) == 1
+    assert opened.report.surface == "open" and triangles.boundary_loops(opened.mesh.faces) == 1
     points, normals = bowl(rng)
     closed = building.build(points, normals, TemplateConfig(faces_max=2500, surface="closed"))
-    assert closed.report.surface == "closed" and topology.is_watertight(closed.mesh.faces)
+    assert closed.report.surface == "closed" and triangles.is_watertight(closed.mesh.faces)
 
 
 # --- several objects --------------------------------------------------------------------------------------------------

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from warpdef import topology
 from warpdef.config import Config, TemplateConfig
 from warpdef.errors import InputError
+from warpdef.geometry import triangles
 from warpdef.template import signed_distance, tetrahedra
 from warpdef.template.build import build
 from warpdef.template.choose import choose_template
@@ -42,8 +42,8 @@ def error(vertices: np.ndarray) -> np.ndarray:
 def test_a_ball(rng: np.random.Generator) -> None:
     points, normals = ball(rng)
     vertices, faces = fit_surface(points, normals)
-    assert topology.is_watertight(faces) and topology.euler_number(faces) == 2
-    assert topology.signed_volume(vertices, faces) == pytest.approx(4 / 3 * np.pi * AXES.prod(), rel=0.02)
+    assert triangles.is_watertight(faces) and triangles.euler_number(faces) == 2
+    assert triangles.signed_volume(vertices, faces) == pytest.approx(4 / 3 * np.pi * AXES.prod(), rel=0.02)
     assert error(vertices).mean() < 0.005 and error(vertices).max() < 0.04
 
 
@@ -73,7 +73,7 @@ def test_the_loss_falls_and_offsets_are_used(rng: np.random.Generator, monkeypat
 
 def test_a_ring_keeps_its_hole(rng: np.random.Generator) -> None:
     vertices, faces = fit_surface(*ring(rng))
-    assert topology.is_watertight(faces) and topology.euler_number(faces) == 0
+    assert triangles.is_watertight(faces) and triangles.euler_number(faces) == 0
     assert np.abs(np.hypot(np.hypot(*vertices.T[:2]) - 0.7, vertices[:, 2]) - 0.15).max() < 0.04
 
 
@@ -81,7 +81,7 @@ def test_a_hole_in_the_points_is_closed_over(rng: np.random.Generator) -> None:
     points, normals = ball(rng, 1500)
     seen = points[:, 2] < 0.35
     vertices, faces = fit_surface(points[seen], normals[seen])
-    assert topology.is_watertight(faces) and topology.euler_number(faces) == 2
+    assert triangles.is_watertight(faces) and triangles.euler_number(faces) == 2
     assert vertices[:, 2].max() < 0.6
     assert error(vertices[vertices[:, 2] < 0.3]).max() < 0.05
 
@@ -90,8 +90,8 @@ def test_units_and_place_do_not_matter_and_bytes_repeat(rng: np.random.Generator
     points, normals = ball(rng, 300)
     one, again, far = (fit_surface(p, normals) for p in (points, points.copy(), points * 1000.0 + 5000.0))
     assert one[0].tobytes() == again[0].tobytes() and one[1].tobytes() == again[1].tobytes()
-    volume = topology.signed_volume(*one)
-    assert topology.signed_volume(*far) == pytest.approx(volume * 1e9, rel=1e-2)
+    volume = triangles.signed_volume(*one)
+    assert triangles.signed_volume(*far) == pytest.approx(volume * 1e9, rel=1e-2)
 
 
 def test_a_coarse_cell_is_kept(rng: np.random.Generator) -> None:
@@ -105,7 +105,7 @@ def test_few_points(rng: np.random.Generator) -> None:
         vertices, faces = fit_surface(*ball(rng, count))
         assert np.isfinite(vertices).all()
         if len(faces):
-            assert topology.is_watertight(faces)
+            assert triangles.is_watertight(faces)
 
 
 def test_signed_distance_near_and_far(rng: np.random.Generator) -> None:
@@ -143,10 +143,10 @@ def test_as_a_template(rng: np.random.Generator, inward: bool) -> None:
     config = TemplateConfig(method="tetrahedra", faces_max=1500)
     built = build(points, -normals if inward else normals, config)
     assert built.report.method == "tetrahedra"
-    assert topology.is_watertight(built.mesh.faces) and topology.euler_number(built.mesh.faces) == 2
-    assert topology.signed_volume(built.mesh.vertices, built.mesh.faces) > 0
+    assert triangles.is_watertight(built.mesh.faces) and triangles.euler_number(built.mesh.faces) == 2
+    assert triangles.signed_volume(built.mesh.vertices, built.mesh.faces) > 0
     assert 0.9 * 1500 <= len(built.mesh.faces) <= 1500
-    assert topology.triangle_quality(built.mesh.vertices, built.mesh.faces) > 0.9
+    assert triangles.triangle_quality(built.mesh.vertices, built.mesh.faces) > 0.9
     assert error(built.mesh.vertices).mean() < 0.01
 
 

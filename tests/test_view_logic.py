@@ -13,14 +13,21 @@ from warpdef.apps.main import run
 from warpdef.apps.view import parse_size
 from warpdef.apps.viewer import probe as view_probe
 from warpdef.apps.viewer.camera import VIEW_ANGLE, camera_axes, fit_camera
+from warpdef.apps.viewer.colouring import (
+    Colouring,
+    edge_stretch,
+    material_colors,
+    spread_out_vertices,
+    spread_over_vertices,
+)
 from warpdef.apps.viewer.content import Pane, load_content
 from warpdef.apps.viewer.movie import movie_steps, sheet_frames
 from warpdef.apps.viewer.player import SPEEDS, Player
 from warpdef.apps.viewer.probe import RenderingProbe
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.export.vertex_normals import vertex_normals
-from warpdef.mesh import MeshSequence, unique_edges
-from warpdef.truth.colouring import Colouring, edge_stretch, material_colors, spread_out_vertices, spread_over_vertices
+from warpdef.geometry.triangles import unique_edges
+from warpdef.mesh import MeshSequence
 
 SPHERE, SPHERE_FACES = icosphere(2)
 

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 import warp as wp
 
+from warpdef.device import find_device, usable_cores
 from warpdef.errors import DeviceError
-from warpdef.fit.workers import Iteration, Phase, Team, find_device, usable_cores
+from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.levels import node8
-from warpdef.kernels.schedule import advance, clear_losses
+from warpdef.kernels.schedule import advance
+from warpdef.kernels.vectors import clear_losses
 
 
 class Counted:
@@ -167,7 +169,7 @@ def test_there_is_a_core() -> None:
 def test_a_recorded_solver_keeps_its_arrays_alive() -> None:
     """A recorded launch is replayed long after the call that made it."""
     values = wp.full(6, node8(*[1.0] * 8), dtype=node8, device="cpu")
-    from warpdef.kernels.schedule import clear_nodes
+    from warpdef.kernels.vectors import clear_nodes
 
     team = Team(1)
     iteration = Iteration([Phase("clear", [lambda: clear_nodes(0, 6, values.flatten())])], wp.get_device("cpu"), team)

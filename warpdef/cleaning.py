@@ -18,8 +18,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from warpdef.geometry.triangles import component_labels
 from warpdef.sequence import MIN_POINTS, PointSequence, name_frames
-from warpdef.topology import component_labels
 
 NEIGHBOURS = 8  # whose farthest gives the local spacing: sqrt(8 a / pi) on a surface with area a a point
 # Longest link, in local spacings; how many times its neighbours' spacing that of a point counts at most, so that strays

@@ -33,12 +33,6 @@ def check_faces(faces: np.ndarray, vertex_count: int, where: str) -> np.ndarray:
     return np.ascontiguousarray(faces, dtype=np.int32)
 
 
-def unique_edges(faces: np.ndarray) -> np.ndarray:
-    """Undirected edges of a triangle list, shape (E, 2) int32, each once, lower index first, sorted."""
-    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    return np.unique(np.sort(directed, axis=1), axis=0).astype(np.int32)
-
-
 def float32_where_exact(vertices: np.ndarray) -> np.ndarray:
     """Positions (T, V, 3) as float32, or as float64 where float32 would lose some of the shape.
 

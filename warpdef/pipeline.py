@@ -19,6 +19,7 @@ import warp as wp
 import warpdef
 from warpdef.cleaning import drop_strays
 from warpdef.config import Config, parse_slice
+from warpdef.device import find_device, usable_cores
 from warpdef.errors import InputError
 from warpdef.files import read_mesh
 from warpdef.fit.objective import Objective
@@ -27,16 +28,16 @@ from warpdef.fit.problem import Problem
 from warpdef.fit.refine import Refinement
 from warpdef.fit.run import FitRun
 from warpdef.fit.saving import Saved, Saver, lasting_facts
-from warpdef.fit.workers import Team, find_device, usable_cores
-from warpdef.gaps import fill_gaps
+from warpdef.fit.workers import Team
+from warpdef.geometry.cloud_normals import pca_normals
 from warpdef.memory import MemoryEstimate, explained_shortage, require_memory
 from warpdef.mesh import MeshSequence, TriMesh, float32_where_exact
+from warpdef.motion.gaps import fill_gaps
 from warpdef.motion.grid_motion import GridMotion
 from warpdef.progress import Callback, Clock, Limits, Progress, held_interrupts, peak_memory_mb
 from warpdef.result import Reconstruction
 from warpdef.sequence import PointSequence, Similarity, name_frames
 from warpdef.template.choose import ChosenTemplate, accept_user_template, choose_template
-from warpdef.template.normals import pca_normals
 
 
 def reconstruct(

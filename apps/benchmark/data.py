@@ -110,7 +110,7 @@ def make_work(source: Source, size: Size) -> Work:
     _require_frames(source, size.frames)
     if source.truth is None:
         return _from_clouds(source.clouds, size)
-    from warpdef.truth.sample import sample_surface
+    from warpdef.geometry.sampling import sample_surface
 
     mesh = source.truth
     clouds, normals = [], []
@@ -138,8 +138,8 @@ def _from_clouds(sequence: PointSequence, size: Size) -> Work:
             f"--data: expected at least {size.points} points a frame for size {size.name!r}, got {fewest}; "
             "give a true sequence (vertices, faces), which can be sampled at will, or --only a smaller size"
         )
+    from warpdef.geometry.cloud_normals import pca_normals
     from warpdef.template.choose import choose_template
-    from warpdef.template.normals import pca_normals
 
     config = Config()
     sequence = sequence.select(slice(size.frames)).subsample(size.points, config.seed)

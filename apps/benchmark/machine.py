@@ -15,7 +15,8 @@ import warpdef
 from warpdef.apps.benchmark.bed import Case, runner
 from warpdef.apps.benchmark.kernels import FLOPS_PER_ROUND, multiply_add_rounds, sample_only
 from warpdef.apps.benchmark.timing import Clock, Effort, measure, null_test
-from warpdef.fit.workers import Team, usable_cores
+from warpdef.device import usable_cores
+from warpdef.fit.workers import Team
 from warpdef.kernels.adam import adam
 from warpdef.kernels.levels import LevelTable, node8
 from warpdef.kernels.schedule import SCHEDULE_SIZE

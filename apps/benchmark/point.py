@@ -133,8 +133,9 @@ def _measure(request: dict[str, Any]) -> dict[str, Any]:
     from warpdef.apps.benchmark.bed import bench_config, bench_problem
     from warpdef.apps.benchmark.data import Work
     from warpdef.apps.benchmark.timing import Clock
+    from warpdef.device import find_device
     from warpdef.fit.optimise import Optimiser
-    from warpdef.fit.workers import Team, find_device
+    from warpdef.fit.workers import Team
 
     device = find_device(request["device"])
     wp.config.log_level = wp.LOG_INFO  # the loading of modules is read from what Warp says

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from warpdef.apps.benchmark.peers import add_rows
+from warpdef.geometry.triangles import vertex_normals
 from warpdef.kernels.graphs import Graph
-from warpdef.topology import vertex_normals
 
 
 def vertex_normals_numpy(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

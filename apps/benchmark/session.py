@@ -45,8 +45,8 @@ from warpdef.apps.benchmark.sizes import (
     selection,
 )
 from warpdef.apps.benchmark.timing import QUICK, Effort
+from warpdef.device import find_device, usable_cores
 from warpdef.errors import InputError
-from warpdef.fit.workers import find_device, usable_cores
 
 
 @dataclass(frozen=True)

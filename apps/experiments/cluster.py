@@ -41,7 +41,7 @@ def local_slots(device: str, threads: int | None, workers: int | None) -> list[S
     Raises:
         DeviceError: no such device. InputError: more slices than cores.
     """
-    from warpdef.fit.workers import find_device, usable_cores
+    from warpdef.device import find_device, usable_cores
 
     target = find_device(device)
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(usable_cores()))

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
+    from warpdef.apps.viewer.colouring import Colouring
     from warpdef.apps.viewer.content import Pane
-    from warpdef.truth.colouring import Colouring
 
 PLAIN, MATERIAL = "plain", "template"
 TEXT_COLOR = "#20242c"
@@ -99,7 +99,7 @@ class SurfaceActor:
         self._show_bar(color if measured else "")
 
     def _material(self, frame: int) -> np.ndarray:
-        from warpdef.truth.colouring import material_colors
+        from warpdef.apps.viewer.colouring import material_colors
 
         if self._pane.colors is not None:
             return self._pane.colors
@@ -107,7 +107,7 @@ class SurfaceActor:
         return material_colors(self._pane.surface(frame)[0] if moving is None else moving.vertices[self._pane.keyframe])
 
     def _show_bar(self, color: str) -> None:
-        from warpdef.truth.colouring import MEASURES
+        from warpdef.apps.viewer.colouring import MEASURES
 
         if color == self._shown:
             return
@@ -191,7 +191,7 @@ class CloudActor:
 def _lookup_table(color: str, colouring: Colouring) -> Any:
     import pyvista
 
-    from warpdef.truth.colouring import MEASURES
+    from warpdef.apps.viewer.colouring import MEASURES
 
     table = pyvista.LookupTable("coolwarm" if MEASURES[color].diverging else "viridis", n_values=256)
     table.scalar_range = colouring.limits(color)

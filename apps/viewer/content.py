@@ -12,8 +12,8 @@ from warpdef.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
+    from warpdef.apps.viewer.colouring import Colouring
     from warpdef.mesh import MeshSequence, TriMesh
-    from warpdef.truth.colouring import Colouring
 
 INPUT_FILES, TRUTH_FILES = ("clouds.npz",), ("truth.npz",)
 """What a demo leaves beside its result, taken where nothing else is named."""
@@ -180,9 +180,9 @@ def _shifted(mesh: TriMesh, origin: np.ndarray) -> TriMesh:
 def _run_pane(path: Path, run, title: str, chosen: list[int], origin: np.ndarray, points, truth) -> Pane:
     import numpy as np
 
+    from warpdef.apps.viewer.colouring import Colouring
     from warpdef.apps.viewer.texture import shown_colors
     from warpdef.mesh import MeshSequence
-    from warpdef.truth.colouring import Colouring
 
     colors = shown_colors(run.appearance, run.meshes.faces, run.meshes.vertices.shape[1])
     vertices = run.meshes.vertices[chosen]

@@ -65,12 +65,12 @@ def show(folder: Path, title: str, goes_on: Any) -> None:
     import numpy as np
 
     from warpdef.apps.viewer.actors import Look
+    from warpdef.apps.viewer.colouring import material_colors
     from warpdef.apps.viewer.content import Content, Pane
     from warpdef.apps.viewer.player import Player
     from warpdef.apps.viewer.scene import Scene
     from warpdef.apps.viewer.window import Window
     from warpdef.mesh import MeshSequence
-    from warpdef.truth.colouring import material_colors
 
     with np.load(folder / "scene.npz") as stored:
         arrays = dict(stored)

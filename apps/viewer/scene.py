@@ -128,7 +128,7 @@ class Scene:
         import numpy as np
         import pyvista
 
-        from warpdef.truth.colouring import material_colors, spread_out_vertices
+        from warpdef.apps.viewer.colouring import material_colors, spread_out_vertices
 
         for index, pane in enumerate(self.content.panes):
             if (

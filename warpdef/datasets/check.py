@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from warpdef import topology
 from warpdef.datasets.mesh_folders import mesh_folder, name_problems
 from warpdef.datasets.sequences import TrueSequence
 from warpdef.files.frame_files import MESH_SUFFIXES, find_frames, frame_files
+from warpdef.geometry import triangles
 from warpdef.mesh import TriMesh
 
 _SHOWN = 5  # frames in a message
@@ -79,7 +79,7 @@ def check_sequence(sequence: TrueSequence) -> SequenceReport:
             other.append(number)
         elif mesh.vertices.shape == before.vertices.shape and np.array_equal(mesh.vertices, before.vertices):
             still.append(number)
-        if not topology.face_areas(mesh.vertices, mesh.faces).sum() > 0:
+        if not triangles.face_areas(mesh.vertices, mesh.faces).sum() > 0:
             flat.append(number)
         before = mesh
     if other:
@@ -90,7 +90,7 @@ def check_sequence(sequence: TrueSequence) -> SequenceReport:
         problems.append(f"nothing moves before {_list(still)}")
     if sequence.kind == "dynosurf":
         problems += _cloud_problems(sequence)
-    use = topology.edge_use(first.faces)
+    use = triangles.edge_use(first.faces)
     return SequenceReport(
         name=sequence.name,
         path=str(sequence.path),
@@ -100,10 +100,10 @@ def check_sequence(sequence: TrueSequence) -> SequenceReport:
         faces=len(first.faces),
         clouds=None if sequence.clouds is None else str(sequence.clouds),
         same_triangles=not other,
-        watertight=topology.is_watertight(first.faces),
+        watertight=triangles.is_watertight(first.faces),
         boundary_edges=int((use == 1).sum()),
         crowded_edges=int((use > 2).sum()),
-        components=int(topology.face_components(first.faces).max()) + 1,
+        components=int(triangles.face_components(first.faces).max()) + 1,
         unused=len(first.vertices) - len(np.unique(first.faces)),
         problems=tuple(problems),
     )

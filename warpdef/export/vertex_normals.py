@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpdef import topology
+from warpdef.geometry import triangles
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -12,6 +12,6 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
     A vertex without area around it gets (0, 0, 1), so that every normal has length 1.
     """
-    normals = topology.vertex_normals(np.asarray(vertices, dtype=np.float64), np.asarray(faces)).astype(np.float32)
+    normals = triangles.vertex_normals(np.asarray(vertices, dtype=np.float64), np.asarray(faces)).astype(np.float32)
     normals[~normals.any(axis=1)] = (0.0, 0.0, 1.0)
     return normals

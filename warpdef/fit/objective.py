@@ -24,11 +24,12 @@ from warpdef.fit.problem import Problem
 from warpdef.fit.workers import Phase
 from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.chamfer import BOTH_SIDES, fixed_to_moving, moving_to_fixed
+from warpdef.kernels.confidence import confidence
 from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_points, move_vertices, scatter_vertices
 from warpdef.kernels.neighbours import NearestSearch
-from warpdef.kernels.schedule import clear_losses, clear_vectors, confidence
+from warpdef.kernels.vectors import clear_losses, clear_vectors
 
 VERTICES_PER_TASK = 1024
 # How far apart a point and its partner's partner may be where a cloud shows part of the surface (``chamfer``): about as

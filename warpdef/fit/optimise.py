@@ -20,7 +20,9 @@ from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.adam import adam
 from warpdef.kernels.finite import flag_not_finite
 from warpdef.kernels.levels import node8
-from warpdef.kernels.schedule import SCHEDULE_SIZE, advance, clear_nodes, copy_vectors, template_gradient
+from warpdef.kernels.motion import template_gradient
+from warpdef.kernels.schedule import SCHEDULE_SIZE, advance
+from warpdef.kernels.vectors import clear_nodes, copy_vectors
 
 
 class Optimiser:

@@ -17,9 +17,9 @@ from warpdef.fit.objective import Objective
 from warpdef.fit.problem import Problem
 from warpdef.fit.recover import Cloud, Matches, Surface, lost_above
 from warpdef.fit.refine import Refinement
+from warpdef.geometry.cloud_normals import turned_to
+from warpdef.geometry.triangles import vertex_normals
 from warpdef.kernels.motion import move_vertices
-from warpdef.template.normals import turned_to
-from warpdef.topology import vertex_normals
 
 ROUNDS = 6
 """Rounds of the vertex stage for a frame before the next starts from it."""

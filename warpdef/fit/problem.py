@@ -8,7 +8,6 @@ stand behind each other in flat arrays, points along a Morton curve, so a frame 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -16,10 +15,10 @@ import warp as wp
 
 from warpdef.config import Config
 from warpdef.fit.morton import morton_order
+from warpdef.geometry.triangles import face_areas, unique_edges
 from warpdef.kernels.graphs import Graph, kept_nodes, mesh_graph
 from warpdef.kernels.levels import LevelTable
-from warpdef.mesh import unique_edges
-from warpdef.topology import face_areas
+from warpdef.transitions import Transitions
 
 _NEIGHBOURS = 16  # of a point, for the local shape of its cloud
 COMPLETE = 0.87
@@ -27,41 +26,6 @@ COMPLETE = 0.87
 COMPLETE_TEMPLATE = 0.7
 """Share of the template's area that it must have as well; thin limbs and few points cost whole bodies up to 0.24."""
 _JUDGED = 100  # points from which a cloud's area says something
-
-
-@dataclass(frozen=True)
-class Transitions:
-    """Sources and targets of all S transitions.
-
-    source, target: frames                              (S,) int
-    of_frame: the transition whose target is a frame    (T,) int; -1 at the keyframe
-    forward, backward: transitions from the keyframe outwards
-    """
-
-    keyframe: int
-    source: np.ndarray
-    target: np.ndarray
-    of_frame: np.ndarray
-    forward: range
-    backward: range
-
-    @classmethod
-    def away_from(cls, keyframe: int, frame_count: int) -> Transitions:
-        s = np.arange(frame_count - 1)
-        ahead = s >= keyframe
-        source, target = np.where(ahead, s, s + 1), np.where(ahead, s + 1, s)
-        of_frame = np.full(frame_count, -1)
-        of_frame[target] = s
-        backward = range(keyframe - 1, -1, -1)
-        return cls(keyframe, source, target, of_frame, range(keyframe, frame_count - 1), backward)
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def targets(self, first: int, last: int) -> tuple[int, int]:
-        """The run of frames that transitions ``first .. last`` lead to; it spans the keyframe if they do."""
-        frames = self.target[first:last]
-        return int(frames.min()), int(frames.max()) + 1
 
 
 class Problem:

@@ -16,8 +16,8 @@ from functools import cached_property
 import numpy as np
 
 from warpdef.fit.embedded import DeformationGraph, Pose
-from warpdef.template.normals import estimate_normals, repair_normals, turned_to
-from warpdef.topology import component_labels, vertex_normals
+from warpdef.geometry.cloud_normals import estimate_normals, repair_normals, turned_to
+from warpdef.geometry.triangles import component_labels, vertex_normals
 
 NODES = 400
 """Nodes of the deformation graph."""

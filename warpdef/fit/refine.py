@@ -37,8 +37,8 @@ from warpdef.kernels.cg import ConjugateGradients
 from warpdef.kernels.pairs import pairs_of
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
-from warpdef.kernels.schedule import add_scaled, blend, copy_vectors
 from warpdef.kernels.unseen import expected_places, hold_unseen
+from warpdef.kernels.vectors import add_scaled, blend, copy_vectors
 
 _SHAPE_TOLERANCE = 1e-4
 _SHAPE_ITERATIONS = 200

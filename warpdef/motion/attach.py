@@ -46,7 +46,7 @@ def attach(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> Attac
     from scipy import sparse
     from scipy.spatial import cKDTree
 
-    from warpdef.truth.distances import closest_on_surface
+    from warpdef.geometry.closest import closest_on_surface
 
     points, vertices = np.asarray(points, dtype=np.float64), np.asarray(vertices, dtype=np.float64)
     faces = np.asarray(faces, dtype=np.int64)

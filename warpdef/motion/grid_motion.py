@@ -122,11 +122,11 @@ class GridMotion:
         """
         import warp as wp
 
-        from warpdef.fit.problem import Transitions
-        from warpdef.fit.workers import find_device
-        from warpdef.gaps import fill_gaps
+        from warpdef.device import find_device
         from warpdef.kernels.levels import LevelTable, node8
         from warpdef.kernels.motion import move_points
+        from warpdef.motion.gaps import fill_gaps
+        from warpdef.transitions import Transitions
 
         points = np.asarray(points, dtype=np.float64)
         start = self.frames.index(self.keyframe)

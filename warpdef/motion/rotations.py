@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpdef.mesh import unique_edges
+from warpdef.geometry.triangles import unique_edges
 
 _TIE = 1e-9  # weight of the identity, which decides what a flat or straight neighbourhood leaves open
 

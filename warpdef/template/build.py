@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from warpdef import topology
 from warpdef.config import TemplateConfig
 from warpdef.errors import InputError
+from warpdef.geometry import triangles
+from warpdef.geometry.cloud_normals import estimate_normals, repair_normals
 from warpdef.mesh import TriMesh
 from warpdef.template.clusters import point_clusters
 from warpdef.template.cut import cut_at_zero
-from warpdef.template.normals import estimate_normals, repair_normals
 from warpdef.template.poisson import Backend, load_backend
 from warpdef.template.support import Support
 from warpdef.template.tetrahedra import fit_surface
@@ -110,7 +110,7 @@ def build(
         vertices, faces = fit_surface(unit_points, normals, 2.2 / 2**config.depth if config.depth else 0.0)
     else:
         vertices, faces = backend.poisson(unit_points, normals, depth, config.screening)
-    vertices, faces = topology.compact(vertices, faces)
+    vertices, faces = triangles.compact(vertices, faces)
     if len(faces) < 4:
         raise InputError(
             f"the reconstruction ({config.method}) made {len(faces)} faces from {len(points)} points; "
@@ -128,14 +128,14 @@ def build(
         is_open = trimming.openings > 0 and (config.surface == "open" or trimming.share > config.far_share_max)
     if is_open:
         trimmed = trimming.share
-        kept = float(topology.face_areas(vertices, faces).sum()) / (1.0 + trimmed)
+        kept = float(triangles.face_areas(vertices, faces).sum()) / (1.0 + trimmed)
         vertices, faces = crop(vertices, faces, trimming.level, support)
         remesh = partial(_remesh_open, backend, support)
         vertices, faces, edge_length = _even_triangles(vertices, faces, kept, target, remesh)
     else:
-        area = float(topology.face_areas(vertices, faces).sum())
+        area = float(triangles.face_areas(vertices, faces).sum())
         vertices, faces, edge_length = _even_triangles(vertices, faces, area, target, backend.remesh)
-        if topology.signed_volume(vertices, faces) < 0 and topology.is_watertight(faces):
+        if triangles.signed_volume(vertices, faces) < 0 and triangles.is_watertight(faces):
             faces = faces[:, ::-1]
     report = TemplateReport(
         backend=backend.name,
@@ -157,7 +157,7 @@ def _keep_objects(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -
     """For every object in the cloud the component on which most of its points lie; and the share of area left out."""
     from scipy.spatial import cKDTree
 
-    labels = topology.face_components(faces)
+    labels = triangles.face_components(faces)
     if labels.max() == 0:
         return vertices, faces, 0.0
     component = np.zeros(len(vertices), dtype=np.int64)
@@ -166,8 +166,8 @@ def _keep_objects(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -
     objects = point_clusters(points)
     kept = np.unique([np.bincount(met[objects == k]).argmax() for k in range(objects.max() + 1)])
     stays = np.isin(labels, kept)
-    areas = topology.face_areas(vertices, faces)
-    return *topology.compact(vertices, faces[stays]), float(areas[~stays].sum() / max(areas.sum(), 1e-300))
+    areas = triangles.face_areas(vertices, faces)
+    return *triangles.compact(vertices, faces[stays]), float(areas[~stays].sum() / max(areas.sum(), 1e-300))
 
 
 def depth_by_spacing(points: np.ndarray) -> int:
@@ -188,7 +188,7 @@ def _remesh_open(
     backend: Backend, support: Support, vertices: np.ndarray, faces: np.ndarray, edge_length: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Even triangles first, so that the cut has edges of one length to follow; then again inside the new border."""
-    vertices, faces = topology.compact(*backend.remesh(vertices, faces, edge_length))
+    vertices, faces = triangles.compact(*backend.remesh(vertices, faces, edge_length))
     vertices, faces = cut_at_zero(vertices, faces, find_trimming(vertices, faces, support).level)
     return backend.remesh(vertices, faces, edge_length)
 
@@ -210,7 +210,7 @@ def _even_triangles(
     best = None
     for _ in range(REMESH_ATTEMPTS):
         try:
-            new_vertices, new_faces = topology.compact(*remesh(vertices, faces, edge_length))
+            new_vertices, new_faces = triangles.compact(*remesh(vertices, faces, edge_length))
         except ValueError as error:
             raise InputError(f"the reconstructed surface cannot be remeshed ({error})") from error
         count = len(new_faces)

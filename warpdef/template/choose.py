@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warpdef import topology
 from warpdef.config import Config
 from warpdef.errors import InputError
+from warpdef.geometry import triangles
 from warpdef.mesh import TriMesh
 from warpdef.template.build import FLIPPED_WARN, TemplateReport, build
 from warpdef.template.keyframe import rank_keyframes, spread_out
@@ -157,7 +157,7 @@ def accept_user_template(mesh: TriMesh, clouds: Sequence[np.ndarray], config: Co
     Raises:
         InputError: the keyframe asked for does not exist, or the mesh has no area.
     """
-    if not topology.face_areas(mesh.vertices, mesh.faces).sum() > 0:
+    if not triangles.face_areas(mesh.vertices, mesh.faces).sum() > 0:
         raise InputError("--template: expected a surface with an area above 0, got only degenerate faces")
     warnings = []
     if config.keyframe.choice == "auto":
@@ -184,7 +184,7 @@ def accept_user_template(mesh: TriMesh, clouds: Sequence[np.ndarray], config: Co
 def _mean_distance(mesh: TriMesh, points: np.ndarray, seed: int) -> float:
     from scipy.spatial import cKDTree
 
-    from warpdef.truth.sample import sample_surface
+    from warpdef.geometry.sampling import sample_surface
 
     samples = sample_surface(mesh.vertices, mesh.faces, 5000, np.random.default_rng(seed))[0]
     there, back = cKDTree(points).query(samples)[0], cKDTree(samples).query(points)[0]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from warpdef.geometry.triangles import component_labels
 from warpdef.template.support import point_areas
-from warpdef.topology import component_labels
 
 LINK_NEIGHBOURS = 32
 LINK_REACH = 3.0  # in sqrt(area of a point), twice the widest gap that a random cloud shows now and then

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpdef import topology
+from warpdef.geometry import triangles
 
 SNAP = 0.35  # a vertex nearer to the contour than this share of an edge is moved onto it
 
@@ -32,7 +32,7 @@ def cut_at_zero(vertices: np.ndarray, faces: np.ndarray, level: np.ndarray) -> t
     all_faces = np.concatenate([faces[inside], pieces]) if len(pieces) else faces[inside]
     if len(all_faces) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32)
-    return topology.compact(*topology.separate_touching(np.concatenate([vertices, created]), all_faces))
+    return triangles.compact(*triangles.separate_touching(np.concatenate([vertices, created]), all_faces))
 
 
 def _snap(vertices: np.ndarray, faces: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from warpdef import topology
 from warpdef.config import TemplateConfig
+from warpdef.geometry import triangles
 from warpdef.mesh import TriMesh
 from warpdef.template.clusters import point_clusters
 
@@ -72,16 +72,16 @@ def judge(mesh: TriMesh, points: np.ndarray, config: TemplateConfig, seed: int, 
         seed: of the surface samples.
         is_open: whether the template was trimmed on purpose.
     """
-    watertight = topology.is_watertight(mesh.faces)
-    volume = topology.signed_volume(mesh.vertices, mesh.faces)
-    components = int(topology.face_components(mesh.faces).max()) + 1
+    watertight = triangles.is_watertight(mesh.faces)
+    volume = triangles.signed_volume(mesh.vertices, mesh.faces)
+    components = int(triangles.face_components(mesh.faces).max()) + 1
     objects = int(point_clusters(points).max()) + 1
-    loops, euler = topology.boundary_loops(mesh.faces), topology.euler_number(mesh.faces)
+    loops, euler = triangles.boundary_loops(mesh.faces), triangles.euler_number(mesh.faces)
     spacing, far_share, missed_share = far_shares(mesh, points, config.far_spacings, seed)
 
     broken = []
     if is_open:
-        if topology.edge_use(mesh.faces).max() > 2:
+        if triangles.edge_use(mesh.faces).max() > 2:
             broken.append("it has edges in more than two faces")
     else:
         if not watertight:
@@ -105,7 +105,7 @@ def judge(mesh: TriMesh, points: np.ndarray, config: TemplateConfig, seed: int, 
         loops=loops,
         euler=euler,
         handles=(2 * components - loops - euler) // 2,
-        quality=topology.triangle_quality(mesh.vertices, mesh.faces),
+        quality=triangles.triangle_quality(mesh.vertices, mesh.faces),
         spacing=spacing,
         far_share=far_share,
         missed_share=missed_share,
@@ -121,11 +121,11 @@ def far_shares(mesh: TriMesh, points: np.ndarray, far_spacings: float, seed: int
     """
     from scipy.spatial import cKDTree
 
-    from warpdef.truth.sample import sample_surface
+    from warpdef.geometry.sampling import sample_surface
 
     tree = cKDTree(points)
     spacing = float(tree.query(points, k=2)[0][:, 1].mean())
-    if not topology.face_areas(mesh.vertices, mesh.faces).sum() > 0:
+    if not triangles.face_areas(mesh.vertices, mesh.faces).sum() > 0:
         return spacing, 1.0, 1.0
     samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, np.random.default_rng(seed))[0]
     far = tree.query(samples)[0] > far_spacings * spacing

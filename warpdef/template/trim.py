@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpdef import topology
+from warpdef.geometry import triangles
 from warpdef.template.support import Support, border_points
 
 OPENING_POINTS = 12.0  # least size of an opening, in areas of a point
@@ -41,14 +41,14 @@ class Trimming:
 
 def find_trimming(vertices: np.ndarray, faces: np.ndarray, support: Support) -> Trimming:
     """Judge every unsupported patch of a surface (V, 3), (F, 3) whose faces have the side of the support's normals."""
-    level = support.at(vertices, topology.vertex_normals(vertices, faces)) - 0.5
+    level = support.at(vertices, triangles.vertex_normals(vertices, faces)) - 0.5
     area = vertex_areas(vertices, faces)
     # Patches are measured in points, so that sparse places may have larger gaps.
     points = area / support.local_area(vertices)
-    patch = topology.vertex_components(faces, level <= 0)
+    patch = triangles.vertex_components(faces, level <= 0)
     opening = _openings(vertices, faces, level, patch, points, support)
     level[(patch >= 0) & ~np.append(opening, False)[patch]] = _STAYS
-    piece = topology.vertex_components(faces, level > 0)
+    piece = triangles.vertex_components(faces, level > 0)
     if piece.max() > 0:
         size = np.bincount(piece[piece >= 0], points[piece >= 0])
         level[(piece >= 0) & np.append(size < ISLAND_SHARE * size.sum(), False)[piece]] = _GOES
@@ -106,9 +106,11 @@ def _contour(
 def crop(vertices: np.ndarray, faces: np.ndarray, level: np.ndarray, support: Support):
     """The part that stays with a margin around it, roughly cut: what is worth remeshing; vertices and faces."""
     wide = (level > 0) | (support.distance(vertices) < MARGIN)
-    return topology.compact(*topology.separate_touching(vertices, faces[wide[faces].all(axis=1)]))
+    return triangles.compact(*triangles.separate_touching(vertices, faces[wide[faces].all(axis=1)]))
 
 
 def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """A third of the area of the faces around each vertex, shape (V,)."""
-    return np.bincount(faces.ravel(), np.repeat(topology.face_areas(vertices, faces) / 3.0, 3), minlength=len(vertices))
+    return np.bincount(
+        faces.ravel(), np.repeat(triangles.face_areas(vertices, faces) / 3.0, 3), minlength=len(vertices)
+    )

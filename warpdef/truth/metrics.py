@@ -15,9 +15,10 @@ import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.files import same_triangles
-from warpdef.mesh import MeshSequence, TriMesh, unique_edges
-from warpdef.truth.distances import closest_on_surface
-from warpdef.truth.sample import sample_surface
+from warpdef.geometry.closest import closest_on_surface
+from warpdef.geometry.sampling import sample_surface
+from warpdef.geometry.triangles import unique_edges
+from warpdef.mesh import MeshSequence, TriMesh
 
 METRICS = (
     "chamfer_l2",

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from warpdef.mesh import TriMesh, unique_edges
+from warpdef.geometry.triangles import unique_edges
+from warpdef.mesh import TriMesh
 
 
 def smooth_weights(mesh: TriMesh, bone_of_vertex: np.ndarray, bone_count: int, smoothing: float) -> np.ndarray:

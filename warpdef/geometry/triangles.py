@@ -5,6 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 
+def unique_edges(faces: np.ndarray) -> np.ndarray:
+    """Undirected edges of a triangle list, shape (E, 2) int32, each once, lower index first, sorted."""
+    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    return np.unique(np.sort(directed, axis=1), axis=0).astype(np.int32)
+
+
 def edge_use(faces: np.ndarray) -> np.ndarray:
     """How many faces each undirected edge belongs to, shape (E,); 2 everywhere on a watertight mesh."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)

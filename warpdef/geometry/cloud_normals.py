@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpdef.topology import component_labels
+from warpdef.geometry.triangles import component_labels
 
 CELL_SPACINGS = 1.0  # grid cell, in mean point spacings
 SMOOTH_CELLS = 0.85  # Gaussian on the grid, standard deviation in cells

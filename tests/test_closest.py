@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 import pytest
 
-from warpdef.truth.distances import closest_on_surface, closest_on_triangles
+from warpdef.geometry.closest import closest_on_surface, closest_on_triangles
 
 
 def by_division(point: np.ndarray, triangle: np.ndarray, steps: int = 400) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import sample_surface
 
-from warpdef.template.normals import _CurlFreeField, estimate_normals, pca_normals, repair_normals
+from warpdef.geometry.cloud_normals import _CurlFreeField, estimate_normals, pca_normals, repair_normals
 
 
 def sphere(rng: np.random.Generator, count: int = 1500) -> np.ndarray:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from warpdef.mesh import MeshSequence, TriMesh, unique_edges
+from warpdef.geometry.triangles import unique_edges
+from warpdef.mesh import MeshSequence, TriMesh
 
 LIMIT_FRAMES = 9
 """Frames looked at for the ends of the colour bar: distances to a surface cost too much to take all."""
@@ -174,13 +175,13 @@ class Colouring:
                 self._edges = unique_edges(self.meshes.faces)
             return edge_stretch(vertices, at_keyframe, self._edges)
         if self.truth is not None:
-            from warpdef.truth.distances import closest_on_surface
+            from warpdef.geometry.closest import closest_on_surface
 
             return closest_on_surface(vertices, self.truth[frame].vertices, self.truth[frame].faces)[0]
         return self._cloud_error(frame)
 
     def _cloud_error(self, frame: int) -> np.ndarray:
-        from warpdef.truth.distances import closest_on_surface
+        from warpdef.geometry.closest import closest_on_surface
 
         assert self.clouds is not None
         vertices, faces = self.meshes.vertices[frame], self.meshes.faces

@@ -1,0 +1,73 @@
+"""Elementary work on arrays, recordable like any launch: clear, copy, add, blend. Linear, so nothing has an adjoint."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.levels import node8
+
+wp.set_module_options(MODULE_OPTIONS)
+
+
+@wp.kernel
+def _clear(begin: int, array: wp.array(dtype=wp.float64)):
+    array[begin + wp.tid()] = wp.float64(0.0)
+
+
+@wp.kernel
+def _clear_rows(begin: int, array: wp.array(dtype=wp.vec3)):
+    array[begin + wp.tid()] = wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.kernel
+def _copy(source: wp.array(dtype=wp.vec3), target_out: wp.array(dtype=wp.vec3)):
+    i = wp.tid()
+    target_out[i] = source[i]
+
+
+@wp.kernel
+def _add_scaled(begin: int, scale: float, change: wp.array(dtype=wp.vec3), target_out: wp.array(dtype=wp.vec3)):
+    i = begin + wp.tid()
+    target_out[i] = target_out[i] + scale * change[i]
+
+
+@wp.kernel
+def _blend(share: float, source: wp.array(dtype=wp.vec3), target_out: wp.array(dtype=wp.vec3)):
+    i = wp.tid()
+    target_out[i] = target_out[i] + share * (source[i] - target_out[i])
+
+
+@wp.kernel
+def _clear_nodes(begin: int, array: wp.array(dtype=node8)):
+    array[begin + wp.tid()] = node8()
+
+
+def clear_losses(begin, count, array):
+    """Zero a span of a float64 array."""
+    launch(_clear, count, [begin, array], array.device)
+
+
+def clear_vectors(begin, count, array):
+    """Zero a span of a vec3 array."""
+    launch(_clear_rows, count, [begin, array], array.device)
+
+
+def copy_vectors(source, target_out):
+    """Copy a vec3 array, recordable like any launch."""
+    launch(_copy, len(source), [source, target_out], source.device)
+
+
+def add_scaled(begin, count, scale, change, target_out):
+    """``target += scale change`` for a span of a vec3 array."""
+    launch(_add_scaled, count, [begin, scale, change, target_out], target_out.device)
+
+
+def blend(share, source, target_out):
+    """``target += share (source - target)``; a share above 1 overshoots."""
+    launch(_blend, len(source), [share, source, target_out], target_out.device)
+
+
+def clear_nodes(begin, count, array):
+    """Zero a span of a node8 array."""
+    launch(_clear_nodes, count, [begin, array], array.device)

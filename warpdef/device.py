@@ -1,0 +1,49 @@
+"""Devices: which there are, and which way the method goes on one."""
+
+from __future__ import annotations
+
+import ctypes.util
+import logging
+import os
+
+import warp as wp
+
+from warpdef.errors import DeviceError
+
+
+def start_warp() -> None:
+    """Initialise Warp without its greeting, and without its native warning where no CUDA driver is installed."""
+    wp.config.log_level = logging.WARNING
+    if ctypes.util.find_library("cuda") is not None:
+        wp.init()
+        return
+    # The warning is written by native code, past Python's own streams.
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+            wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def find_device(name: str) -> wp.Device:
+    """``auto`` (the first CUDA device, else the CPU), ``cpu``, ``cuda`` or ``cuda:N``.
+
+    Raises:
+        DeviceError: no such device here.
+    """
+    start_warp()
+    if name == "auto":
+        return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
+    there = [d.alias for d in wp.get_devices()]
+    wanted = "cuda:0" if name == "cuda" else name
+    if wanted not in there:
+        raise DeviceError(f"--device: expected one of auto, {', '.join(there)}, got {name}; take one that is there")
+    return wp.get_device(wanted)
+
+
+def usable_cores() -> int:
+    """Cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
