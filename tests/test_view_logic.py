@@ -13,13 +13,7 @@ from warpdef.apps.main import run
 from warpdef.apps.view import parse_size
 from warpdef.apps.viewer import probe as view_probe
 from warpdef.apps.viewer.camera import VIEW_ANGLE, camera_axes, fit_camera
-from warpdef.apps.viewer.colouring import (
-    Colouring,
-    edge_stretch,
-    material_colors,
-    spread_out_vertices,
-    spread_over_vertices,
-)
+from warpdef.apps.viewer.colouring import material_colors, spread_out_vertices
 from warpdef.apps.viewer.content import Pane, load_content
 from warpdef.apps.viewer.movie import movie_steps, sheet_frames
 from warpdef.apps.viewer.player import SPEEDS, Player
@@ -28,6 +22,7 @@ from warpdef.errors import InputError, MissingPackageError
 from warpdef.export.vertex_normals import vertex_normals
 from warpdef.geometry.triangles import unique_edges
 from warpdef.mesh import MeshSequence
+from warpdef.vertex_measures import VertexMeasures, edge_stretch, spread_over_vertices
 
 SPHERE, SPHERE_FACES = icosphere(2)
 
@@ -140,13 +135,13 @@ def test_vertex_normals_of_a_sphere_point_outwards():
 
 def test_stretch_and_displacement_of_a_growing_sphere():
     meshes = MeshSequence(np.stack([SPHERE, SPHERE * 1.25]), SPHERE_FACES)
-    colouring = Colouring(meshes, keyframe=0)
+    colouring = VertexMeasures(meshes, keyframe=0)
     np.testing.assert_allclose(colouring.values("stretch", 1), 0.25)
     np.testing.assert_allclose(colouring.values("displacement", 1), 0.25)
     assert colouring.limits("stretch") == pytest.approx((-0.25, 0.25))
     assert colouring.limits("displacement") == pytest.approx((0.0, 0.25))
     assert colouring.measures == ["stretch", "displacement"]
-    still = Colouring(MeshSequence(np.stack([SPHERE, SPHERE]), SPHERE_FACES))
+    still = VertexMeasures(MeshSequence(np.stack([SPHERE, SPHERE]), SPHERE_FACES))
     assert still.limits("displacement") == (0.0, 1.0)  # a bar of some length all the same
 
 
@@ -160,7 +155,7 @@ def test_stretch_leaves_out_edges_of_no_length():
 def test_error_against_a_truth_is_the_exact_distance():
     pytest.importorskip("gpytoolbox")
     meshes = MeshSequence(SPHERE[None] * 1.5, SPHERE_FACES)
-    colouring = Colouring(meshes, truth=MeshSequence(SPHERE[None], SPHERE_FACES))
+    colouring = VertexMeasures(meshes, truth=MeshSequence(SPHERE[None], SPHERE_FACES))
     # The truth is convex, and each vertex stands straight above one of its own.
     np.testing.assert_allclose(colouring.values("error", 0), 0.5, rtol=1e-9)
 
@@ -173,7 +168,7 @@ def test_error_of_a_cloud_is_measured_at_its_points():
     expected = np.linspace(0.1, 0.2, len(SPHERE_FACES))
     outside = (a + b + c) / 3 + expected[:, None] * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     meshes = MeshSequence(SPHERE[None], SPHERE_FACES)
-    colouring = Colouring(meshes, clouds=[outside])
+    colouring = VertexMeasures(meshes, clouds=[outside])
     np.testing.assert_allclose(colouring.point_errors(0), expected, rtol=1e-9)
     assert expected.min() <= colouring.values("error", 0).min() <= colouring.values("error", 0).max() <= expected.max()
     colouring.forget(MeshSequence(SPHERE[None] * 1.1, SPHERE_FACES))

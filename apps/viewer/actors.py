@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-    from warpdef.apps.viewer.colouring import Colouring
     from warpdef.apps.viewer.content import Pane
+    from warpdef.vertex_measures import VertexMeasures
 
 PLAIN, MATERIAL = "plain", "template"
 TEXT_COLOR = "#20242c"
@@ -107,7 +107,7 @@ class SurfaceActor:
         return material_colors(self._pane.surface(frame)[0] if moving is None else moving.vertices[self._pane.keyframe])
 
     def _show_bar(self, color: str) -> None:
-        from warpdef.apps.viewer.colouring import MEASURES
+        from warpdef.vertex_measures import MEASURES
 
         if color == self._shown:
             return
@@ -188,10 +188,10 @@ class CloudActor:
         self._frames.clear()
 
 
-def _lookup_table(color: str, colouring: Colouring) -> Any:
+def _lookup_table(color: str, colouring: VertexMeasures) -> Any:
     import pyvista
 
-    from warpdef.apps.viewer.colouring import MEASURES
+    from warpdef.vertex_measures import MEASURES
 
     table = pyvista.LookupTable("coolwarm" if MEASURES[color].diverging else "viridis", n_values=256)
     table.scalar_range = colouring.limits(color)

@@ -1,32 +1,8 @@
-"""What a moving mesh can be coloured by: its own material, or a number at every vertex."""
+"""Colours that show the material of a moving mesh, and vertices spread out over it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-
 import numpy as np
-
-from warpdef.geometry.triangles import unique_edges
-from warpdef.mesh import MeshSequence, TriMesh
-
-LIMIT_FRAMES = 9
-"""Frames looked at for the ends of the colour bar: distances to a surface cost too much to take all."""
-
-
-@dataclass(frozen=True)
-class Measure:
-    """A number at every vertex. label: for the colour bar, ``{}`` is the unit; diverging: 0 is in the bar's middle."""
-
-    label: str
-    diverging: bool = False
-
-
-MEASURES = {
-    "error": Measure("distance to surface, {}"),
-    "stretch": Measure("edge stretch, l / l_key - 1", diverging=True),
-    "displacement": Measure("displacement, {}"),
-}
 
 
 def material_colors(vertices: np.ndarray, cells: int = 20) -> np.ndarray:
@@ -46,58 +22,6 @@ def material_colors(vertices: np.ndarray, cells: int = 20) -> np.ndarray:
     return np.rint((0.15 + 0.85 * place) * shade * 255).astype(np.uint8)
 
 
-def edge_stretch(vertices: np.ndarray, at_keyframe: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Mean over a vertex's edges of l / l_key - 1, l an edge's length here and l_key in the keyframe; shape (V,).
-
-    Edges of length 0 in the keyframe are left out; a vertex without others has 0.
-    """
-    now, then = (
-        np.linalg.norm(np.subtract(x[edges[:, 0]], x[edges[:, 1]], dtype=np.float64), axis=1)
-        for x in (vertices, at_keyframe)
-    )
-    long = then > 0.0
-    change = now[long] / then[long] - 1.0
-    ends = edges[long].T.reshape(-1)
-    total = np.bincount(ends, np.tile(change, 2), minlength=len(vertices))
-    return total / np.maximum(np.bincount(ends, minlength=len(vertices)), 1)
-
-
-def spread_over_vertices(
-    values: np.ndarray, faces_hit: np.ndarray, weights: np.ndarray, faces: np.ndarray, count: int, rings: int = 4
-) -> np.ndarray:
-    """Numbers known at places on a surface as a mean at each vertex.
-
-    A place counts at the three vertices of its face by its barycentric weights; a vertex that none reached takes
-    the mean of its neighbours, up to ``rings`` edges away, and is NaN beyond.
-
-    Args:
-        values: shape (N,).
-        faces_hit: face of each place, shape (N,).
-        weights: barycentric coordinates, shape (N, 3).
-        faces: shape (F, 3).
-        count: number V of vertices.
-
-    Returns:
-        Shape (V,).
-    """
-    corners = faces[faces_hit].reshape(-1)
-    weight = np.bincount(corners, weights.reshape(-1), minlength=count)
-    total = np.bincount(corners, (weights * values[:, None]).reshape(-1), minlength=count)
-    known = weight > 1e-9
-    mean = np.where(known, total / np.where(known, weight, 1.0), 0.0)
-    edges = unique_edges(faces)
-    one, other = np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]])
-    for _ in range(rings):
-        if known.all():
-            break
-        reached = np.bincount(one, known[other], minlength=count)
-        sums = np.bincount(one, np.where(known, mean, 0.0)[other], minlength=count)
-        new = ~known & (reached > 0)
-        mean[new] = sums[new] / reached[new]
-        known = known | new
-    return np.where(known, mean, np.nan)
-
-
 def spread_out_vertices(vertices: np.ndarray, count: int) -> np.ndarray:
     """Indices of at most ``count`` vertices far from each other (farthest-point sampling), shape (K,)."""
     vertices = np.asarray(vertices, dtype=np.float64)
@@ -107,84 +31,3 @@ def spread_out_vertices(vertices: np.ndarray, count: int) -> np.ndarray:
         chosen.append(int(distance_sq.argmax()))
         distance_sq = np.minimum(distance_sq, ((vertices - vertices[chosen[-1]]) ** 2).sum(axis=1))
     return np.array(chosen)
-
-
-@dataclass
-class Colouring:
-    """The measures of one moving mesh, each frame computed when first asked for.
-
-    meshes:   the mesh that is coloured         T frames
-    keyframe: frame that lengths and places are compared with
-    clouds:   the input, where known            T arrays (N_t, 3)
-    truth:    the true surfaces, where known    T meshes
-    """
-
-    meshes: MeshSequence
-    keyframe: int = 0
-    clouds: Sequence[np.ndarray] | None = None
-    truth: Sequence[TriMesh] | None = None
-    _values: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
-    _points: dict[int, np.ndarray] = field(default_factory=dict)
-    _edges: np.ndarray | None = None
-
-    @property
-    def measures(self) -> list[str]:
-        """The keys of ``MEASURES`` that can be computed from what is known."""
-        return [name for name in MEASURES if name != "error" or self.clouds is not None or self.truth is not None]
-
-    def values(self, name: str, frame: int) -> np.ndarray:
-        """One number a vertex, shape (V,) float64, NaN where unknown.
-
-        ``error``: with the truth, each vertex's exact distance to the true surface; else the exact distances of the
-        input's points to this mesh, each counted where it is nearest. The other names are explained in ``MEASURES``.
-        """
-        if (name, frame) not in self._values:
-            self._values[name, frame] = self._compute(name, frame)
-        return self._values[name, frame]
-
-    def point_errors(self, frame: int) -> np.ndarray:
-        """Exact distance of each point of the input cloud to the mesh, shape (N_t,)."""
-        if frame not in self._points:
-            self._cloud_error(frame)
-        return self._points[frame]
-
-    def limits(self, name: str) -> tuple[float, float]:
-        """Ends of the colour bar: the 99th percentile over some frames, and 0 or its negative."""
-        frames = np.unique(
-            np.linspace(0, len(self.meshes) - 1, min(LIMIT_FRAMES, len(self.meshes))).round().astype(int)
-        )
-        sizes = np.concatenate([np.abs(self.values(name, int(t))) for t in frames])
-        sizes = sizes[np.isfinite(sizes)]
-        high = float(np.percentile(sizes, 99)) if len(sizes) else 0.0
-        high = high if high > 0.0 else 1.0
-        return (-high if MEASURES[name].diverging else 0.0), high
-
-    def forget(self, meshes: MeshSequence) -> None:
-        """Take new vertices; nothing computed before is kept."""
-        self.meshes = meshes
-        self._values.clear()
-        self._points.clear()
-        self._edges = None
-
-    def _compute(self, name: str, frame: int) -> np.ndarray:
-        vertices, at_keyframe = self.meshes.vertices[frame], self.meshes.vertices[self.keyframe]
-        if name == "displacement":
-            return np.linalg.norm(np.subtract(vertices, at_keyframe, dtype=np.float64), axis=1)
-        if name == "stretch":
-            if self._edges is None:
-                self._edges = unique_edges(self.meshes.faces)
-            return edge_stretch(vertices, at_keyframe, self._edges)
-        if self.truth is not None:
-            from warpdef.geometry.closest import closest_on_surface
-
-            return closest_on_surface(vertices, self.truth[frame].vertices, self.truth[frame].faces)[0]
-        return self._cloud_error(frame)
-
-    def _cloud_error(self, frame: int) -> np.ndarray:
-        from warpdef.geometry.closest import closest_on_surface
-
-        assert self.clouds is not None
-        vertices, faces = self.meshes.vertices[frame], self.meshes.faces
-        distance, face, weights = closest_on_surface(self.clouds[frame], vertices, faces)
-        self._points[frame] = distance
-        return spread_over_vertices(distance, face, weights, faces, len(vertices))

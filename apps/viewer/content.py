@@ -12,8 +12,8 @@ from warpdef.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from warpdef.apps.viewer.colouring import Colouring
     from warpdef.mesh import MeshSequence, TriMesh
+    from warpdef.vertex_measures import VertexMeasures
 
 INPUT_FILES, TRUTH_FILES = ("clouds.npz",), ("truth.npz",)
 """What a demo leaves beside its result, taken where nothing else is named."""
@@ -35,7 +35,7 @@ class Pane:
     meshes: MeshSequence | Sequence[TriMesh] | None = None
     clouds: Sequence[np.ndarray] | None = None
     colors: np.ndarray | None = None
-    colouring: Colouring | None = None
+    colouring: VertexMeasures | None = None
     keyframe: int = 0
 
     def surface(self, frame: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -180,14 +180,14 @@ def _shifted(mesh: TriMesh, origin: np.ndarray) -> TriMesh:
 def _run_pane(path: Path, run, title: str, chosen: list[int], origin: np.ndarray, points, truth) -> Pane:
     import numpy as np
 
-    from warpdef.apps.viewer.colouring import Colouring
     from warpdef.apps.viewer.texture import shown_colors
     from warpdef.mesh import MeshSequence
+    from warpdef.vertex_measures import VertexMeasures
 
     colors = shown_colors(run.appearance, run.meshes.faces, run.meshes.vertices.shape[1])
     vertices = run.meshes.vertices[chosen]
     meshes = MeshSequence(vertices - origin if origin.any() else vertices, run.meshes.faces)
     # The keyframe may not be among the frames shown; the nearest one takes its part.
     keyframe = int(np.abs(np.array(chosen) - run.keyframe).argmin())
-    colouring = Colouring(meshes, keyframe, points, truth)
+    colouring = VertexMeasures(meshes, keyframe, points, truth)
     return Pane(title, meshes, points, colors, colouring, keyframe)

@@ -91,7 +91,8 @@ def _colors(pane: Pane, content: Content, look: Look) -> dict[str, Any]:
     import numpy as np
 
     from warpdef.apps.viewer.actors import MATERIAL
-    from warpdef.apps.viewer.colouring import MEASURES, material_colors
+    from warpdef.apps.viewer.colouring import material_colors
+    from warpdef.vertex_measures import MEASURES
 
     packed: dict[str, Any] = {}
     colors = material_colors(pane.moving.vertices[pane.keyframe]) if pane.colors is None else pane.colors
