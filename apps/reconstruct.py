@@ -179,6 +179,7 @@ def run_to_folder(
         tell = shown.enter_context(_shown_live(sequence, display, output)) if how.live else display
 
         from warpdef.pipeline import reconstruct as reconstruct_sequence
+        from warpdef.prepare import Safeguards
 
         where = str(source.resolve()) if isinstance(source, Path) else ""
         try:
@@ -190,12 +191,14 @@ def run_to_folder(
                 threads=how.threads,
                 template=template,
                 callback=tell,
-                checkpoint=None if how.checkpoint_seconds is None else folder.checkpoint,
-                checkpoint_seconds=how.checkpoint_seconds or 0.0,
-                resume=saved,
-                notes={"input": where, "frames": config.frames},
-                seconds_max=None if how.max_seconds is None else max(how.max_seconds - loading, 0.0),
-                memory_limit=how.memory_limit,
+                safeguards=Safeguards(
+                    checkpoint=None if how.checkpoint_seconds is None else folder.checkpoint,
+                    checkpoint_seconds=how.checkpoint_seconds or 0.0,
+                    resume=saved,
+                    notes={"input": where, "frames": config.frames},
+                    seconds_max=None if how.max_seconds is None else max(how.max_seconds - loading, 0.0),
+                    memory_limit=how.memory_limit,
+                ),
             )
             watch.lap()
             display.start("write")

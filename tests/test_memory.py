@@ -106,7 +106,7 @@ def test_nothing_fits_into_nothing() -> None:
 def test_a_run_is_refused_before_it_begins(rng: np.random.Generator, monkeypatch) -> None:
     clouds = rng.normal(size=(3, 50, 3))
     with pytest.raises(InputError, match="GiB of memory"):
-        warpdef.reconstruct(clouds, device="cpu", memory_limit=0.01)
+        warpdef.reconstruct(clouds, device="cpu", safeguards=warpdef.Safeguards(memory_limit=0.01))
     monkeypatch.setattr(memory, "available_memory", lambda: 1000)
     with pytest.raises(InputError, match="GiB of memory"):
         warpdef.reconstruct(clouds, device="cpu")

@@ -46,7 +46,10 @@ def fit(
     config: Config | None = None, threads: int = 1, clouds: PointSequence = CLOUDS, **how
 ) -> warpdef.Reconstruction:
     template = None if "resume" in how else TEMPLATE
-    return warpdef.reconstruct(clouds, config, device="cpu", threads=threads, template=template, **how)
+    callback, safeguards = how.pop("callback", None), warpdef.Safeguards(**how)
+    return warpdef.reconstruct(
+        clouds, config, device="cpu", threads=threads, template=template, callback=callback, safeguards=safeguards
+    )
 
 
 class Cut(Exception):
@@ -187,11 +190,12 @@ def test_a_run_keeps_its_configuration(tmp_path: Path) -> None:
 def test_another_template_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "c"
     cut_at("optimise", 20, quick(), path)
-    same = warpdef.reconstruct(CLOUDS, device="cpu", threads=1, template=TEMPLATE, resume=path)
+    again = warpdef.Safeguards(resume=path)
+    same = warpdef.reconstruct(CLOUDS, device="cpu", threads=1, template=TEMPLATE, safeguards=again)
     assert_same(same, fit(quick()))
     other = TriMesh(TEMPLATE.vertices * 1.01, TEMPLATE.faces)
     with pytest.raises(InputError, match="the template given is not that of the run to continue"):
-        warpdef.reconstruct(CLOUDS, device="cpu", template=other, resume=path)
+        warpdef.reconstruct(CLOUDS, device="cpu", template=other, safeguards=again)
 
 
 def test_the_state_of_another_problem_is_refused(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ _HOMES = {
     "PointSequence": "warpdef.sequence",
     "Progress": "warpdef.progress",
     "Reconstruction": "warpdef.result",
+    "Safeguards": "warpdef.prepare",
     "WarpdefError": "warpdef.errors",
     "evaluate": "warpdef.truth.metrics",
     "load_run": "warpdef.files.saved_run",

@@ -8,20 +8,16 @@ Section names are those of *Preconditioned Deformation Grids* (Pacific Graphics 
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import warp as wp
 
 import warpdef
-from warpdef.cleaning import drop_strays
-from warpdef.config import Config, parse_slice
-from warpdef.device import find_device, usable_cores
-from warpdef.errors import InputError
-from warpdef.files import read_mesh
+from warpdef.config import Config
+from warpdef.device import usable_cores
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
@@ -30,10 +26,11 @@ from warpdef.fit.run import FitRun
 from warpdef.fit.saving import Saved, Saver, lasting_facts
 from warpdef.fit.workers import Team
 from warpdef.geometry.cloud_normals import pca_normals
-from warpdef.memory import MemoryEstimate, explained_shortage, require_memory
+from warpdef.memory import MemoryEstimate, explained_shortage
 from warpdef.mesh import MeshSequence, TriMesh, float32_where_exact
 from warpdef.motion.gaps import fill_gaps
 from warpdef.motion.grid_motion import GridMotion
+from warpdef.prepare import Safeguards, prepare
 from warpdef.progress import Callback, Clock, Limits, Progress, held_interrupts, peak_memory_mb
 from warpdef.result import Reconstruction
 from warpdef.sequence import PointSequence, Similarity, name_frames
@@ -48,12 +45,7 @@ def reconstruct(
     threads: int | None = None,
     template: TriMesh | None = None,
     callback: Callback | None = None,
-    checkpoint: Path | None = None,
-    checkpoint_seconds: float = 60.0,
-    resume: Saved | Path | None = None,
-    notes: Mapping[str, str] | None = None,
-    seconds_max: float | None = None,
-    memory_limit: float | None = None,
+    safeguards: Safeguards | None = None,
 ) -> Reconstruction:
     """Fit one template mesh to every frame.
 
@@ -66,40 +58,19 @@ def reconstruct(
             ``config.template.mesh``; if that is empty, a mesh is reconstructed.
         callback: called with a ``Progress`` now and then. Ctrl-C during the optimisation ends it early: the best
             state so far is returned, with ``report["interrupted"]`` true and ``report["stopped"]`` saying why.
-        checkpoint: file that the state is written to every ``checkpoint_seconds``; it is the caller's to remove.
-        resume: checkpoint to go on from, on the same input, with its own configuration and the shape of its own
-            template (whose colours come back with ``template``): on the CPU to the same bits.
-        notes: kept in the checkpoint for whoever resumes.
-        seconds_max: time after which the best state so far is returned; some of it goes to the vertex stage.
-        memory_limit: GiB that the run may be estimated to need; what is free if not given; 0: no limit.
+        safeguards: checkpoints, a run to go on from, limits of time and memory; if not given, only what is free of
+            memory is looked at.
 
     Raises:
         InputError: clouds, template or checkpoint are not usable, or the run does not fit into memory.
         DeviceError: no such device, or its memory ran out.
         WarpdefError: the optimisation left the finite numbers at any rate.
     """
-    saved = Saved(resume) if isinstance(resume, Path) else resume
-    if saved is not None and config not in (None, saved.config):
-        raise InputError(f"{saved.path}: a run goes on with its own configuration; leave config out")
-    config = saved.config if saved is not None else config or Config()
+    safeguards = safeguards or Safeguards()
+    ready = prepare(sequence=sequence, config=config, template=template, device=device, safeguards=safeguards)
+    sequence, template, config = ready.sequence, ready.template, ready.config
+    saved, target, estimate, clock = ready.saved, ready.device, ready.estimate, ready.clock
     tell = callback or (lambda progress: None)
-    clock = Clock(saved.facts["seconds"] if saved is not None else None)
-    target = find_device(device)
-    if not isinstance(sequence, PointSequence):
-        sequence = PointSequence.from_arrays(sequence)
-    sequence = sequence.select(parse_slice(config.frames))
-    if config.drop_strays:
-        sequence = drop_strays(sequence)
-    if config.points:
-        sequence = sequence.subsample(config.points, config.seed)
-
-    if saved is not None:
-        saved.require_input(sequence)
-    if template is None and saved is None and config.template.mesh:
-        template = read_mesh(Path(config.template.mesh))
-    sizes = [len(p) for p in sequence.points]
-    vertex_count = len(template.vertices) if template else saved.vertex_count if saved is not None else None
-    estimate = require_memory(sizes, vertex_count, config, target, memory_limit)
 
     # Implementation Details: the whole sequence is normalised into the cube by one similarity.
     into = Similarity.into_cube(sequence.points, config.fill)
@@ -129,10 +100,10 @@ def reconstruct(
                 refinement.prepare()
         with held_interrupts() as interruption:
             resumed = [*saved.facts["resumed"], saved.iteration] if saved is not None else []
-            facts = lasting_facts(sequence, config, chosen, notes or {}, resumed)
-            saver = Saver(checkpoint, checkpoint_seconds, facts, mesh, clock)
+            facts = lasting_facts(sequence, config, chosen, safeguards.notes, resumed)
+            saver = Saver(safeguards.checkpoint, safeguards.checkpoint_seconds, facts, mesh, clock)
             show = _with_meshes(tell, optimiser.objective, mesh.faces, into, sequence)
-            limits = Limits(interruption, clock, seconds_max)
+            limits = Limits(interruption, clock, safeguards.seconds_max)
             run = FitRun(optimiser, refinement, team.size, limits, saver, show)
             if saved is not None:
                 run.restore(saved)

@@ -1,0 +1,107 @@
+"""Everything before the method: what is asked for, checked, and the clouds that it begins with, cleaned."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from warpdef.cleaning import drop_strays
+from warpdef.config import Config, parse_slice
+from warpdef.device import find_device
+from warpdef.errors import InputError
+from warpdef.files import read_mesh
+from warpdef.fit.saving import Saved
+from warpdef.memory import MemoryEstimate, require_memory
+from warpdef.mesh import TriMesh
+from warpdef.progress import Clock
+from warpdef.sequence import PointSequence
+
+
+@dataclass(frozen=True)
+class Safeguards:
+    """How a run keeps what it has done, and when it ends early; nothing of it changes what an unbroken run computes.
+
+    checkpoint:         file that the state is written to now and then; it is the caller's to remove; None: none
+    checkpoint_seconds: least time between two
+    resume:             checkpoint to go on from, on the same input, with its own configuration and the shape of its own
+                        template (whose colours come back with ``template``): on the CPU to the same bits
+    notes:              kept in the checkpoint for whoever resumes
+    seconds_max:        time after which the best state so far is returned; some of it goes to the vertex stage
+    memory_limit:       GiB that the run may be estimated to need; None: what is free; 0: no limit
+    """
+
+    checkpoint: Path | None = None
+    checkpoint_seconds: float = 60.0
+    resume: Saved | Path | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+    seconds_max: float | None = None
+    memory_limit: float | None = None
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What the method begins with.
+
+    sequence: the clouds used, cleaned, input units
+    template: a mesh of the user's own, input units, or None
+    config:   the whole configuration
+    device:   where the fit runs
+    saved:    the checkpoint to go on from, or None
+    estimate: memory that the run will need
+    clock:    begun before any of it
+    """
+
+    sequence: PointSequence
+    template: TriMesh | None
+    config: Config
+    device: wp.Device
+    saved: Saved | None
+    estimate: MemoryEstimate
+    clock: Clock
+
+
+def prepare(
+    sequence: PointSequence | np.ndarray | Sequence[np.ndarray],
+    config: Config | None,
+    template: TriMesh | None,
+    device: str,
+    safeguards: Safeguards,
+) -> Prepared:
+    """Check what is asked for and clean the clouds; arguments as ``pipeline.reconstruct``.
+
+    Raises:
+        InputError: clouds, template or checkpoint are not usable, or the run does not fit into memory.
+        DeviceError: no such device.
+    """
+    saved = Saved(safeguards.resume) if isinstance(safeguards.resume, Path) else safeguards.resume
+    if saved is not None and config not in (None, saved.config):
+        raise InputError(f"{saved.path}: a run goes on with its own configuration; leave config out")
+    config = saved.config if saved is not None else config or Config()
+    clock = Clock(saved.facts["seconds"] if saved is not None else None)
+    target = find_device(device)
+    if not isinstance(sequence, PointSequence):
+        sequence = PointSequence.from_arrays(sequence)
+    sequence = sequence.select(parse_slice(config.frames))
+    if template is None and saved is None and config.template.mesh:
+        template = read_mesh(Path(config.template.mesh))
+
+    # Before anything costly is done with the points.
+    sizes = [min(len(p), config.points or len(p)) for p in sequence.points]
+    vertex_count = len(template.vertices) if template else saved.vertex_count if saved is not None else None
+    estimate = require_memory(sizes, vertex_count, config, target, safeguards.memory_limit)
+
+    sequence = clean(sequence, config)
+    if saved is not None:
+        saved.require_input(sequence)
+    return Prepared(sequence, template, config, target, saved, estimate, clock)
+
+
+def clean(sequence: PointSequence, config: Config) -> PointSequence:
+    """The points that the method uses: strays left out, then at most ``config.points`` drawn from the rest."""
+    if config.drop_strays:
+        sequence = drop_strays(sequence)
+    return sequence.subsample(config.points, config.seed) if config.points else sequence
