@@ -31,6 +31,14 @@ def srgb(light: np.ndarray) -> np.ndarray:
     return np.rint(value * 255).astype(np.uint8)
 
 
+def outward(frame: int) -> np.ndarray:
+    """Normals of a frame's vertices by another library: the faces' normals weighted by their areas."""
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.Trimesh(VERTICES[frame].astype(np.float64), FACES, process=False)
+    total = mesh.faces_sparse @ (mesh.face_normals * mesh.area_faces[:, None])
+    return total / np.linalg.norm(total, axis=1, keepdims=True)
+
+
 class Glb:
     """A reader of .glb after the glTF 2.0 specification, sections 3.6.2 and 4.4."""
 
@@ -138,11 +146,36 @@ def test_usd(tmp_path, suffix):
         np.testing.assert_array_equal(np.array(mesh.GetPointsAttr().Get(t)), VERTICES[t])
         box = [VERTICES[t].min(axis=0), VERTICES[t].max(axis=0)]
         np.testing.assert_array_equal(np.array(mesh.GetExtentAttr().Get(t)), box)
+        np.testing.assert_allclose(np.array(mesh.GetNormalsAttr().Get(t)), outward(t), atol=1e-6)
+    assert mesh.GetNormalsInterpolation() == "vertex"
     light = np.array(mesh.GetDisplayColorPrimvar().Get())
     np.testing.assert_array_equal(srgb(light), SRGB[:, :3])
     np.testing.assert_allclose(np.array(mesh.GetDisplayOpacityPrimvar().Get()), SRGB[:, 3] / 255, rtol=1e-6)
     np.testing.assert_array_equal(np.array(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get()), UV)
     assert mesh.GetDisplayColorPrimvar().GetInterpolation() == "vertex"
+
+
+@pytest.mark.parametrize("animation", [PLAIN, PAINTED], ids=["plain", "painted"])
+def test_usd_material_reads_the_colours(tmp_path, animation):
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdShade
+
+    export(animation, tmp_path / "bar.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "bar.usda"))
+    material, _ = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath("/warpdef/mesh")).ComputeBoundMaterial()
+    surface, _, _ = material.ComputeSurfaceSource()
+    assert surface.GetShaderId() == "UsdPreviewSurface"
+    assert (surface.GetInput("metallic").Get(), surface.GetInput("roughness").Get()) == pytest.approx((0.0, 0.7))
+    color = surface.GetInput("diffuseColor")
+    if animation.colors is None:
+        export(animation, tmp_path / "bar.glb")
+        factor = Glb(tmp_path / "bar.glb").json["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"]
+        np.testing.assert_allclose(color.Get(), factor[:3], rtol=1e-6)
+        return
+    source, name, _ = color.GetConnectedSource()
+    reader = UsdShade.Shader(source.GetPrim())
+    assert (reader.GetShaderId(), name) == ("UsdPrimvarReader_float3", "result")
+    assert reader.GetInput("varname").Get() == "displayColor"
 
 
 def test_pc2_by_its_layout(tmp_path):
@@ -175,8 +208,15 @@ def check_obj(path: Path, frame: int) -> None:
     vt = np.array([line[1:] for line in lines if line[0] == "vt"], dtype=np.float64)
     np.testing.assert_array_equal(vt.astype(np.float32), UV)
     corners = np.array([[c.split("/") for c in line[1:]] for line in lines if line[0] == "f"], dtype=int)
-    np.testing.assert_array_equal(corners[:, :, 0] - 1, FACES)
-    np.testing.assert_array_equal(corners[:, :, 1] - 1, FACES)
+    for column in range(corners.shape[2]):
+        np.testing.assert_array_equal(corners[:, :, column] - 1, FACES)
+    # Smooth shading is on before the first face, or programs show facets.
+    kinds = [line[0] for line in lines]
+    assert lines[kinds.index("s")] == ["s", "1"] and kinds.index("s") < kinds.index("f")
+    vn = np.array([line[1:] for line in lines if line[0] == "vn"], dtype=np.float64)
+    assert corners.shape[2] == (3 if len(vn) else 2)
+    if len(vn):
+        np.testing.assert_allclose(vn, outward(frame), atol=1e-6)
 
 
 def test_obj_folder(tmp_path):
@@ -186,6 +226,7 @@ def test_obj_folder(tmp_path):
     assert [p.name for p in files] == [f"{t:04d}.obj" for t in range(5)]
     for t, file in enumerate(files):
         check_obj(file, t)
+        assert "\nvn " in file.read_text()
         # trimesh splits vertices by texture coordinate; ours are one a vertex, so nothing is to split.
         mesh = trimesh.load(file, process=False, maintain_order=True)
         np.testing.assert_array_equal(mesh.vertices.astype(np.float32)[mesh.faces], VERTICES[t][FACES])
@@ -206,7 +247,9 @@ def test_ply_folder(tmp_path, animation):
             np.testing.assert_array_equal(np.column_stack([rows[c] for c in ("red", "green", "blue", "alpha")]), SRGB)
             np.testing.assert_array_equal(np.column_stack([rows["s"], rows["t"]]), UV)
         else:
-            assert set(rows.dtype.names) == {"x", "y", "z"}
+            assert set(rows.dtype.names) == {"x", "y", "z", "nx", "ny", "nz"}
+        normals = np.column_stack([rows[f"n{axis}"] for axis in "xyz"])
+        np.testing.assert_allclose(normals, outward(t), atol=1e-6)
 
 
 def test_pvd(tmp_path):
@@ -218,6 +261,7 @@ def test_pvd(tmp_path):
         reader.set_active_time_value(time)
         mesh = reader.read()[0]
         np.testing.assert_array_equal(mesh.points, VERTICES[t])
+        np.testing.assert_allclose(mesh.point_data.active_normals, outward(t), atol=1e-6)
         np.testing.assert_array_equal(mesh.regular_faces, FACES)
         np.testing.assert_array_equal(mesh.point_data["colors"], SRGB)
         np.testing.assert_array_equal(mesh.active_texture_coordinates, UV)

@@ -20,6 +20,11 @@ from warpdef.texture import Texture
 FPS = 24.0
 """Frames a second where nothing else is said."""
 
+GREY = (0.72, 0.74, 0.78)
+"""Colour of a surface that has none, linear light."""
+ROUGHNESS = 0.7
+"""Roughness of every surface; none is metallic."""
+
 
 @dataclass(frozen=True)
 class Animation:
@@ -106,11 +111,20 @@ class Animation:
         """Seconds from the first frame, shape (T,) float32."""
         return (np.arange(len(self)) / self.fps).astype(np.float32)
 
+    @property
+    def base_color(self) -> tuple[float, float, float]:
+        """The material's colour, linear light; white where colours or a texture are to show through it."""
+        return GREY if self.colors is None and self.uv is None else (1.0, 1.0, 1.0)
+
     def normals_of(self, frame: int) -> np.ndarray:
         """Unit normals of a frame, those given or those of the faces, shape (V, 3) float32."""
         if self.normals is not None:
             return self.normals[frame]
         return vertex_normals(self.vertices[frame], self.faces)
+
+    def all_normals(self) -> np.ndarray:
+        """``normals_of`` every frame, shape (T, V, 3) float32."""
+        return np.stack([self.normals_of(frame) for frame in range(len(self))])
 
 
 def dress(

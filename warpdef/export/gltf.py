@@ -17,14 +17,13 @@ import numpy as np
 
 from warpdef import __version__
 from warpdef.errors import InputError
-from warpdef.export.animation import Animation, linear_colors
+from warpdef.export.animation import ROUGHNESS, Animation, linear_colors
 from warpdef.texture import Texture
 
 _FLOAT, _UINT, _USHORT = 5126, 5125, 5123
 _VERTICES, _INDICES = 34962, 34963
 _LINEAR, _MIPMAPPED, _REPEAT = 9729, 9987, 10497
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
-_GREY = [0.72, 0.74, 0.78, 1.0]
 
 
 def write_glb(animation: Animation, path: Path) -> None:
@@ -110,8 +109,8 @@ def _node(animation: Animation) -> dict[str, Any]:
 
 
 def _material(animation: Animation) -> dict[str, Any]:
-    color = [1.0] * 4 if animation.colors is not None or animation.uv is not None else _GREY
-    surface: dict[str, Any] = {"baseColorFactor": color, "metallicFactor": 0.0, "roughnessFactor": 0.7}
+    color = [*animation.base_color, 1.0]
+    surface: dict[str, Any] = {"baseColorFactor": color, "metallicFactor": 0.0, "roughnessFactor": ROUGHNESS}
     if animation.texture is not None:
         surface["baseColorTexture"] = {"index": 0}
     return {"name": "surface", "pbrMetallicRoughness": surface, "doubleSided": True}

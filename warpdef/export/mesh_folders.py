@@ -16,14 +16,15 @@ OBJ_MARK = b"# warpdef\n"
 def write_ply_folder(animation: Animation, folder: Path) -> None:
     """Make ``folder`` with a binary PLY a frame; colours are ``red green blue alpha``, texture coordinates ``s t``.
 
-    Positions are ``double`` where ``float`` would lose the shape, far from the origin. A texture's image lies in the
-    folder, named by a ``comment TextureFile``.
+    Normals are in every file: programs shade a PLY with them smoothly, and one without them in facets. Positions are
+    ``double`` where ``float`` would lose the shape, far from the origin. A texture's image lies in the folder, named by
+    a ``comment TextureFile``.
     """
     faces = np.empty(len(animation.faces), dtype=[("length", "u1"), ("indices", "<i4", (3,))])
     faces["length"], faces["indices"] = 3, animation.faces
     texture = animation.texture
     comments = () if texture is None else (f"TextureFile {image_name(texture)}",)
-    write_ply_frames(folder, animation.places, animation.normals, animation.colors, animation.uv, faces, comments)
+    write_ply_frames(folder, animation.places, animation.all_normals(), animation.colors, animation.uv, faces, comments)
     if texture is not None:
         (folder / image_name(texture)).write_bytes(texture.data)
 
@@ -81,10 +82,11 @@ def write_obj_folder(animation: Animation, folder: Path) -> None:
 
 def obj_text(animation: Animation, frame: int, local: bool = False) -> bytes:
     """One frame as OBJ: nine digits, which hold a float32 exactly, or all of a float64's far from the origin; colours
-    follow the position; ``vt`` for ``uv``, ``vn`` for normals given.
+    follow the position; ``vt`` for ``uv``, ``vn`` for normals, ``s 1`` for smooth shading.
 
     Args:
-        local: positions count from the animation's origin, which a comment names, and no material is: for a mesh alone.
+        local: for a mesh alone that another file will move: positions count from the animation's origin, which a
+            comment names, no material is, and normals only where they are given, as those of the faces move with them.
     """
     # One format string for the whole table: many times faster than a line at a time.
     positions = animation.vertices[frame]
@@ -101,12 +103,14 @@ def obj_text(animation: Animation, frame: int, local: bool = False) -> bytes:
         mark += f"mtllib {LIBRARY}\nusemtl {MATERIAL}\n"
     text = mark + f"{line}\n" * len(table) % tuple(table.ravel().tolist())
     corner, given = "%d", 1
-    if animation.normals is not None:
-        text += "vn %.9g %.9g %.9g\n" * len(table) % tuple(animation.normals[frame].astype(float).ravel().tolist())
+    has_normals = animation.normals is not None or not local
+    if has_normals:
+        # Seven digits: normals are directions of unit length.
+        text += "vn %.7g %.7g %.7g\n" * len(table) % tuple(animation.normals_of(frame).astype(float).ravel().tolist())
         corner, given = "%d//%d", 2
     if animation.uv is not None:
         text += "vt %.9g %.9g\n" * len(table) % tuple(animation.uv.astype(np.float64).ravel().tolist())
-        corner, given = ("%d/%d", 2) if animation.normals is None else ("%d/%d/%d", 3)
+        corner, given = ("%d/%d/%d", 3) if has_normals else ("%d/%d", 2)
     indices = np.repeat(animation.faces + 1, given, axis=1)
-    text += f"f {corner} {corner} {corner}\n" * len(indices) % tuple(indices.ravel().tolist())
+    text += "s 1\n" + f"f {corner} {corner} {corner}\n" * len(indices) % tuple(indices.ravel().tolist())
     return text.encode("ascii")

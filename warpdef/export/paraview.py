@@ -34,9 +34,8 @@ def write_pvd(animation: Animation, path: Path) -> None:
     lines += ["  <Collection>"]
     for frame, positions in enumerate(animation.places):
         mesh.points = np.array(positions)
-        if animation.normals is not None:
-            mesh.point_data["Normals"] = animation.normals[frame]
-            mesh.point_data.active_normals_name = "Normals"
+        mesh.point_data["Normals"] = animation.normals_of(frame)
+        mesh.point_data.active_normals_name = "Normals"
         mesh.save(folder / f"{frame:04d}.vtp", binary=True)
         file = quoteattr(f"{folder.name}/{frame:04d}.vtp")
         lines.append(f'    <DataSet timestep="{frame / animation.fps:.9g}" part="0" file={file}/>')

@@ -10,13 +10,15 @@ import numpy as np
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.export.animation import Animation, linear_colors
 from warpdef.export.image import image_name
+from warpdef.export.usd_material import bind_material
 
 
 def write_usd(animation: Animation, path: Path) -> None:
     """Write .usd, .usda, .usdc or .usdz by the suffix of ``path``.
 
-    Time codes are frame numbers from 0. Colours go to ``displayColor`` (linear) and ``displayOpacity``, texture
-    coordinates to ``primvars:st``. Data far from its origin stands there by a translation of the parent. A texture's
+    Time codes are frame numbers from 0. Triangles are shaded smoothly by the normals of every frame. Colours go to
+    ``displayColor`` (linear), which the material reads, and ``displayOpacity``; texture coordinates to
+    ``primvars:st``. Data far from its origin stands there by a translation of the parent. A texture's
     image is a file beside it, ``walk_usdc_warpdef_texture.png``; a .usdz holds it itself.
 
     Raises:
@@ -37,8 +39,7 @@ def write_usd(animation: Animation, path: Path) -> None:
     try:
         stage = Usd.Stage.CreateNew(str(layer))
         _fill(stage, animation)
-        if image is not None:
-            _cover(stage, image.name)
+        bind_material(stage, animation, None if image is None else image.name)
         stage.GetRootLayer().Save()
         if packed:
             done = UsdUtils.CreateNewUsdzPackage(str(layer), str(path))
@@ -73,13 +74,11 @@ def _fill(stage: Any, animation: Animation) -> None:
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(animation.faces), 3, dtype=np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(animation.faces.reshape(-1)))
     points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
-    normals = None if animation.normals is None else mesh.CreateNormalsAttr()
-    if normals is not None:
-        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    normals = mesh.CreateNormalsAttr()
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     for frame, positions in enumerate(animation.vertices):
         points.Set(Vt.Vec3fArray.FromNumpy(positions), frame)
-        if normals is not None:
-            normals.Set(Vt.Vec3fArray.FromNumpy(animation.normals[frame]), frame)
+        normals.Set(Vt.Vec3fArray.FromNumpy(animation.normals_of(frame)), frame)
         corners = [Gf.Vec3f(*map(float, corner)) for corner in (positions.min(axis=0), positions.max(axis=0))]
         extent.Set(Vt.Vec3fArray(corners), frame)
     if animation.colors is not None:
@@ -93,30 +92,3 @@ def _fill(stage: Any, animation: Animation) -> None:
         kind = Sdf.ValueTypeNames.TexCoord2fArray
         st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, UsdGeom.Tokens.vertex)
         st.Set(Vt.Vec2fArray.FromNumpy(animation.uv))
-
-
-def _cover(stage: Any, image: str) -> None:
-    """Put an image, named as it lies beside the file, on the mesh: a UsdPreviewSurface that reads it by ``st``."""
-    from pxr import Sdf, UsdShade
-
-    types = Sdf.ValueTypeNames
-    material = UsdShade.Material.Define(stage, "/warpdef/material")
-    surface = UsdShade.Shader.Define(stage, "/warpdef/material/surface")
-    surface.CreateIdAttr("UsdPreviewSurface")
-    surface.CreateInput("roughness", types.Float).Set(0.7)
-    surface.CreateInput("metallic", types.Float).Set(0.0)
-    reader = UsdShade.Shader.Define(stage, "/warpdef/material/coordinates")
-    reader.CreateIdAttr("UsdPrimvarReader_float2")
-    reader.CreateInput("varname", types.String).Set("st")
-    texture = UsdShade.Shader.Define(stage, "/warpdef/material/texture")
-    texture.CreateIdAttr("UsdUVTexture")
-    texture.CreateInput("file", types.Asset).Set(Sdf.AssetPath(f"./{image}"))
-    texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
-    for wrap in ("wrapS", "wrapT"):
-        texture.CreateInput(wrap, types.Token).Set("repeat")
-    texture.CreateInput("st", types.Float2).ConnectToSource(reader.CreateOutput("result", types.Float2))
-    color = surface.CreateInput("diffuseColor", types.Color3f)
-    color.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
-    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
-    mesh = stage.GetPrimAtPath("/warpdef/mesh")
-    UsdShade.MaterialBindingAPI.Apply(mesh).Bind(material)
