@@ -1,4 +1,7 @@
-"""Imports point one way: apps -> warpdef -> kernels. Read from the source, so that no import has to run."""
+"""Imports point one way: apps -> warpdef -> kernels, and inside warpdef/ from the upper floors to the lower ones.
+
+Read from the source, so that no import has to run; those inside functions and for type checkers alone count as well.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,22 @@ FLOORS = {"warpdef": "warpdef", "kernels": "warpdef.kernels", "apps": "warpdef.a
 HEAVY = {"warp", "numpy", "scipy", "trimesh", "pymeshlab", "gpytoolbox", "pyvista", "matplotlib"}
 KERNELS_MAY_IMPORT = set(sys.stdlib_module_names) | {"warp", "numpy"}
 APPS_ON_KERNELS = "warpdef.apps.benchmark"
+MAIN = "warpdef.__main__"
+"""``python -m warpdef``: a door to the command that Python wants beside the library. It counts as one of the apps."""
+
+FLOORS_INSIDE = (
+    ("errors",),
+    ("cloud", "config", "device", "geometry", "texture", "transitions"),
+    ("appearance", "memory", "presets", "sequence"),
+    ("cleaning", "mesh"),
+    ("motion", "progress", "template", "vertex_measures"),
+    ("result",),
+    ("files",),
+    ("datasets", "export", "fit", "truth"),
+    ("prepare",),
+    ("pipeline",),
+)
+"""Rooms of warpdef/, a file or a folder each, from the ground up. A room imports from floors below its own only."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +96,8 @@ def floor(module: str) -> str:
     """``apps``, ``kernels``, ``warpdef``, or the empty text for other people's modules."""
     if module.split(".")[0] != "warpdef":
         return ""
+    if module == MAIN:
+        return "apps"
     return next((f for f in ("kernels", "apps") if module.split(".")[1:2] == [f]), "warpdef")
 
 
@@ -96,6 +117,23 @@ def broken_arrows(imports: list[Import]) -> list[Import]:
     return broken
 
 
+def room(module: str) -> str:
+    """The file or folder of warpdef/ that ``module`` is in; the empty text for the package itself and other floors."""
+    return module.split(".")[1] if floor(module) == "warpdef" and "." in module else ""
+
+
+def climbs(imports: list[Import]) -> list[Import]:
+    """Imports inside warpdef/ that go to another room on the same floor or above."""
+    height = {name: i for i, names in enumerate(FLOORS_INSIDE) for name in names}
+    top = len(FLOORS_INSIDE)  # of a room that is not listed, which a test of its own says
+    return [
+        found
+        for found in imports
+        if (source := room(found.source)) and (target := room(found.target)) and source != target
+        if height.get(source, top) <= height.get(target, top)
+    ]
+
+
 def heavy_at_start(imports: list[Import], roots: set[str]) -> list[Import]:
     """Heavy packages that loading ``roots`` imports, directly or through other modules of the project."""
     found, loaded, waiting = [], set(), set(roots)
@@ -112,10 +150,10 @@ def heavy_at_start(imports: list[Import], roots: set[str]) -> list[Import]:
 
 
 def cycles(imports: list[Import]) -> list[list[str]]:
-    """Circles among the imports that run when a module is loaded; each as the list of its modules."""
+    """Circles among the imports, those that run late included; each as the list of its modules."""
     graph: dict[str, set[str]] = {}
     for found in imports:
-        if floor(found.target) and not found.deferred and found.source != found.target:
+        if floor(found.target) and found.source != found.target:
             graph.setdefault(found.source, set()).add(found.target)
     circles: list[list[str]] = []
     done: set[str] = set()
@@ -141,6 +179,20 @@ def test_imports_point_one_way() -> None:
     found = read_imports(ROOT)
     assert any(floor(i.source) == "apps" and floor(i.target) == "warpdef" for i in found)  # it does read something
     assert not broken_arrows(found), _show(broken_arrows(found))
+
+
+def test_every_room_stands_on_one_floor() -> None:
+    """A new file or folder of warpdef/ is added to FLOORS_INSIDE, on the lowest floor that its imports allow."""
+    listed = [name for names in FLOORS_INSIDE for name in names]
+    assert sorted(listed) == sorted({room(name) for name in modules(ROOT)} - {""})
+
+
+def test_rooms_import_downwards() -> None:
+    assert not climbs(read_imports(ROOT)), _show(climbs(read_imports(ROOT)))
+
+
+def test_nothing_imports_the_door() -> None:
+    assert not [str(found) for found in read_imports(ROOT) if found.target == MAIN]
 
 
 def test_no_import_circle() -> None:
@@ -200,9 +252,29 @@ def test_a_circle_is_found(tmp_path: Path) -> None:
     assert [sorted(circle) for circle in cycles(found)] == [["warpdef.a", "warpdef.b", "warpdef.c"]]
 
 
-def test_a_deferred_import_closes_no_circle(tmp_path: Path) -> None:
+def test_a_deferred_import_closes_a_circle(tmp_path: Path) -> None:
     found = project(tmp_path, warpdef__a="from warpdef import b", warpdef__b="def f():\n    import warpdef.a")
-    assert cycles(found) == []
+    assert [sorted(circle) for circle in cycles(found)] == [["warpdef.a", "warpdef.b"]]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "from warpdef.files import ply",
+        "def f():\n    from .pipeline import reconstruct",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from warpdef.files import Saver",
+        "from warpdef import mesh",  # the same floor
+    ],
+)
+def test_a_climb_is_found(tmp_path: Path, text: str) -> None:
+    empty = dict.fromkeys(("warpdef__files", "warpdef__pipeline", "warpdef__mesh"), "")
+    found = climbs(project(tmp_path, warpdef__cleaning=text, **empty))
+    assert [i.source for i in found] == ["warpdef.cleaning"]
+
+
+def test_the_way_down_passes(tmp_path: Path) -> None:
+    text = "from warpdef.errors import WarpdefError\ndef f():\n    from warpdef.kernels import cg\n    import warpdef"
+    assert climbs(project(tmp_path, warpdef__errors="import os", warpdef__mesh=text)) == []
 
 
 def test_a_heavy_import_is_found(tmp_path: Path) -> None:
