@@ -29,16 +29,16 @@ def _adam(
     # In:
     begin: int,
     period: int,
-    rate: wp.array(dtype=wp.float32),
-    schedule: wp.array(dtype=wp.float32),
+    rate: wp.array[wp.float32],
+    schedule: wp.array[wp.float32],
     beta1: float,
     beta2: float,
     epsilon: float,
-    gradient: wp.array(dtype=Any),
+    gradient: wp.array[Any],
     # In and out:
-    first: wp.array(dtype=Any),
-    second: wp.array(dtype=Any),
-    parameter: wp.array(dtype=Any),
+    first: wp.array[Any],
+    second: wp.array[Any],
+    parameter: wp.array[Any],
 ):
     """One thread a node or vertex; its rate is ``rate[i modulo period]``."""
     i = begin + wp.tid()
@@ -55,10 +55,8 @@ def _adam(
 
 
 for _dtype in (node8, wp.vec3):
-    _arrays = [wp.array(dtype=_dtype)] * 4
-    wp.overload(
-        _adam, [int, int, wp.array(dtype=wp.float32), wp.array(dtype=wp.float32), float, float, float, *_arrays]
-    )
+    _arrays = [wp.array[_dtype]] * 4
+    wp.overload(_adam, [int, int, wp.array[wp.float32], wp.array[wp.float32], float, float, float, *_arrays])
 
 
 def adam(begin, count, rate, schedule, betas, epsilon, gradient, first, second, parameter):

@@ -29,10 +29,10 @@ def apply_block_row(
     i: int,
     alpha: float,
     beta: float,
-    row: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
-    matrix: wp.array2d(dtype=wp.mat33),
-    x: wp.array2d(dtype=wp.vec3),
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    matrix: wp.array2d[wp.mat33],
+    x: wp.array2d[wp.vec3],
 ) -> wp.vec3:
     """Row i of frame t."""
     begin = row[i]
@@ -49,21 +49,21 @@ def _solve_frames(
     first_frame: int,
     alpha: float,
     beta: float,
-    row: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
-    matrix: wp.array2d(dtype=wp.mat33),
-    rhs: wp.array2d(dtype=wp.vec3),
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    matrix: wp.array2d[wp.mat33],
+    rhs: wp.array2d[wp.vec3],
     tolerance: float,
     iterations_max: int,
-    # Scratch:
-    inverse: wp.array2d(dtype=wp.mat33),
-    r: wp.array2d(dtype=wp.vec3),
-    p: wp.array2d(dtype=wp.vec3),
-    ap: wp.array2d(dtype=wp.vec3),
+    # In and out: scratch
+    inverse: wp.array2d[wp.mat33],
+    r: wp.array2d[wp.vec3],
+    p: wp.array2d[wp.vec3],
+    ap: wp.array2d[wp.vec3],
     # Out:
-    solution_out: wp.array2d(dtype=wp.vec3),
-    iterations_out: wp.array(dtype=wp.int32),
-    residual_out: wp.array(dtype=wp.float32),
+    solution_out: wp.array2d[wp.vec3],
+    iterations_out: wp.array[wp.int32],
+    residual_out: wp.array[wp.float32],
 ):
     """CPU: one thread a frame, from zero."""
     t = first_frame + wp.tid()
@@ -109,22 +109,25 @@ def _solve_frames(
 
 
 @wp.func
-def running(step: int, t: int, tolerance: float, sums: wp.array2d(dtype=wp.vec3)) -> bool:
+def running(step: int, t: int, tolerance: float, sums: wp.array2d[wp.vec3]) -> bool:
     return sums[step, t][2] > tolerance * tolerance * sums[0, t][2]
 
 
 @wp.kernel
 def _start(
+    # In:
     alpha: float,
     beta: float,
-    row: wp.array(dtype=wp.int32),
-    matrix: wp.array2d(dtype=wp.mat33),
-    rhs: wp.array2d(dtype=wp.vec3),
-    inverse_out: wp.array2d(dtype=wp.mat33),
-    r_out: wp.array2d(dtype=wp.vec3),
-    p_out: wp.array2d(dtype=wp.vec3),
-    solution_out: wp.array2d(dtype=wp.vec3),
-    sums: wp.array2d(dtype=wp.vec3),
+    row: wp.array[wp.int32],
+    matrix: wp.array2d[wp.mat33],
+    rhs: wp.array2d[wp.vec3],
+    # Out:
+    inverse_out: wp.array2d[wp.mat33],
+    r_out: wp.array2d[wp.vec3],
+    p_out: wp.array2d[wp.vec3],
+    solution_out: wp.array2d[wp.vec3],
+    # Out, added to:
+    sums_out: wp.array2d[wp.vec3],
 ):
     """One thread a vertex of a frame."""
     t, i = wp.tid()
@@ -135,21 +138,24 @@ def _start(
     r_out[t, i] = b
     p_out[t, i] = z
     solution_out[t, i] = wp.vec3(0.0, 0.0, 0.0)
-    wp.atomic_add(sums, 0, t, wp.vec3(wp.dot(b, z), 0.0, wp.length_sq(b)))
+    wp.atomic_add(sums_out, 0, t, wp.vec3(wp.dot(b, z), 0.0, wp.length_sq(b)))
 
 
 @wp.kernel
 def _multiply(
+    # In:
     step: int,
     tolerance: float,
     alpha: float,
     beta: float,
-    row: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
-    matrix: wp.array2d(dtype=wp.mat33),
-    p: wp.array2d(dtype=wp.vec3),
-    ap_out: wp.array2d(dtype=wp.vec3),
-    sums: wp.array2d(dtype=wp.vec3),
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    matrix: wp.array2d[wp.mat33],
+    p: wp.array2d[wp.vec3],
+    # In and out:
+    sums: wp.array2d[wp.vec3],
+    # Out:
+    ap_out: wp.array2d[wp.vec3],
 ):
     """One thread a vertex of a frame."""
     t, i = wp.tid()
@@ -161,14 +167,16 @@ def _multiply(
 
 @wp.kernel
 def _update(
+    # In:
     step: int,
     tolerance: float,
-    inverse: wp.array2d(dtype=wp.mat33),
-    p: wp.array2d(dtype=wp.vec3),
-    ap: wp.array2d(dtype=wp.vec3),
-    r: wp.array2d(dtype=wp.vec3),
-    solution: wp.array2d(dtype=wp.vec3),
-    sums: wp.array2d(dtype=wp.vec3),
+    inverse: wp.array2d[wp.mat33],
+    p: wp.array2d[wp.vec3],
+    ap: wp.array2d[wp.vec3],
+    # In and out:
+    r: wp.array2d[wp.vec3],
+    solution: wp.array2d[wp.vec3],
+    sums: wp.array2d[wp.vec3],
 ):
     """One thread a vertex of a frame."""
     t, i = wp.tid()
@@ -185,12 +193,14 @@ def _update(
 
 @wp.kernel
 def _turn(
+    # In:
     step: int,
     tolerance: float,
-    inverse: wp.array2d(dtype=wp.mat33),
-    r: wp.array2d(dtype=wp.vec3),
-    sums: wp.array2d(dtype=wp.vec3),
-    p: wp.array2d(dtype=wp.vec3),
+    inverse: wp.array2d[wp.mat33],
+    r: wp.array2d[wp.vec3],
+    sums: wp.array2d[wp.vec3],
+    # In and out:
+    p: wp.array2d[wp.vec3],
 ):
     """One thread a vertex of a frame."""
     t, i = wp.tid()
@@ -199,17 +209,22 @@ def _turn(
 
 
 @wp.kernel
-def _clear(sums: wp.array(dtype=wp.vec3)):
-    sums[wp.tid()] = wp.vec3(0.0, 0.0, 0.0)
+def _clear(
+    # Out:
+    sums_out: wp.array[wp.vec3],
+):
+    sums_out[wp.tid()] = wp.vec3(0.0, 0.0, 0.0)
 
 
 @wp.kernel
 def _report(
+    # In:
     steps: int,
     tolerance: float,
-    sums: wp.array2d(dtype=wp.vec3),
-    iterations_out: wp.array(dtype=wp.int32),
-    residual_out: wp.array(dtype=wp.float32),
+    sums: wp.array2d[wp.vec3],
+    # Out:
+    iterations_out: wp.array[wp.int32],
+    residual_out: wp.array[wp.float32],
 ):
     """One thread a frame."""
     t = wp.tid()
@@ -274,7 +289,7 @@ class BlockSolver:
         launch(_start, shape, [alpha, beta, self._row, matrix, rhs, self._inverse, *work, solution_out, sums], device)
         for step in range(steps):
             system = [alpha, beta, self._row, self._column, matrix]
-            launch(_multiply, shape, [step, tolerance, *system, self._p, self._ap, sums], device)
+            launch(_multiply, shape, [step, tolerance, *system, self._p, sums, self._ap], device)
             moved = [self._inverse, self._p, self._ap, self._r, solution_out, sums]
             launch(_update, shape, [step, tolerance, *moved], device)
             launch(_turn, shape, [step, tolerance, self._inverse, self._r, sums, self._p], device)

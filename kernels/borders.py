@@ -30,7 +30,7 @@ def outward(before: wp.vec3, x: wp.vec3, after: wp.vec3, inner: wp.vec3) -> wp.v
 
 
 @wp.func
-def outward_of(vertices: wp.array(dtype=wp.vec3), border: wp.array2d(dtype=wp.int32), first: int, v: int) -> wp.vec3:
+def outward_of(vertices: wp.array[wp.vec3], border: wp.array2d[wp.int32], first: int, v: int) -> wp.vec3:
     """The same of vertex v of the frame whose vertices begin at ``first``; zero for one that is not on the border."""
     b = wp.vec3(0.0, 0.0, 0.0)
     if border[v, 0] >= 0:
@@ -45,12 +45,12 @@ def _vertex_borders(
     # In:
     begin: int,
     pairs: Pairs,
-    border: wp.array2d(dtype=wp.int32),
+    border: wp.array2d[wp.int32],
     stiffness: float,
-    gap: wp.array(dtype=wp.float32),
+    gap: wp.array[wp.float32],
     # Out, added to:
-    matrix_out: wp.array(dtype=wp.mat33),
-    pull_out: wp.array(dtype=wp.vec3),
+    matrix_out: wp.array[wp.mat33],
+    pull_out: wp.array[wp.vec3],
 ):
     """One thread a vertex of a frame."""
     i = begin + wp.tid()
@@ -70,11 +70,11 @@ def _cloud_borders(
     # In:
     begin: int,
     pairs: Pairs,
-    border: wp.array2d(dtype=wp.int32),
+    border: wp.array2d[wp.int32],
     stiffness: float,
     # Out, added to:
-    matrix_out: wp.array(dtype=wp.mat33),
-    pull_out: wp.array(dtype=wp.vec3),
+    matrix_out: wp.array[wp.mat33],
+    pull_out: wp.array[wp.vec3],
 ):
     """One thread a cloud point, with its nearest vertex, which others may share."""
     i = begin + wp.tid()

@@ -55,7 +55,7 @@ def cell_of(p: wp.vec3, cells: Cells) -> int:
 
 
 @wp.func
-def first_candidate(q: wp.vec3, group: int, cells: Cells, start: wp.array2d(dtype=wp.int32)) -> int:
+def first_candidate(q: wp.vec3, group: int, cells: Cells, start: wp.array2d[wp.int32]) -> int:
     """Slot of some point in the nearest ring of cells that has one; -1 if the group is empty."""
     cx = axis_cell(q[0], cells.lower[0], cells.size, cells.nx)
     cy = axis_cell(q[1], cells.lower[1], cells.size, cells.ny)
@@ -121,13 +121,13 @@ def sort_group(
     begin: int,
     end: int,
     cells: Cells,
-    points: wp.array(dtype=wp.vec3),
-    cell: wp.array(dtype=wp.int32),
-    last: wp.array(dtype=wp.vec3),
-    odometer: wp.array(dtype=wp.float64),
-    start_out: wp.array2d(dtype=wp.int32),
-    order_out: wp.array(dtype=wp.int32),
-    sorted_out: wp.array(dtype=wp.vec3),
+    points: wp.array[wp.vec3],
+    cell: wp.array[wp.int32],
+    last: wp.array[wp.vec3],
+    odometer: wp.array[wp.float64],
+    start_out: wp.array2d[wp.int32],
+    order_out: wp.array[wp.int32],
+    sorted_out: wp.array[wp.vec3],
 ): ...
 
 
@@ -136,17 +136,17 @@ def _sort_groups(
     # In:
     first_group: int,
     cells: Cells,
-    points: wp.array(dtype=wp.vec3),
-    offset: wp.array(dtype=wp.int32),
-    # Scratch:
-    cell: wp.array(dtype=wp.int32),
+    points: wp.array[wp.vec3],
+    offset: wp.array[wp.int32],
+    # In and out: scratch
+    cell: wp.array[wp.int32],
     # In and out: positions at the last build, and how far they have moved since the first
-    last: wp.array(dtype=wp.vec3),
-    odometer: wp.array(dtype=wp.float64),
+    last: wp.array[wp.vec3],
+    odometer: wp.array[wp.float64],
     # Out:
-    start_out: wp.array2d(dtype=wp.int32),
-    order_out: wp.array(dtype=wp.int32),
-    sorted_out: wp.array(dtype=wp.vec3),
+    start_out: wp.array2d[wp.int32],
+    order_out: wp.array[wp.int32],
+    sorted_out: wp.array[wp.vec3],
 ):
     """CPU: one thread a group."""
     g = first_group + wp.tid()
@@ -155,10 +155,12 @@ def _sort_groups(
 
 @wp.kernel
 def _measure_moves(
-    points: wp.array(dtype=wp.vec3),
-    group: wp.array(dtype=wp.int32),
-    last: wp.array(dtype=wp.vec3),
-    farthest: wp.array(dtype=wp.float32),
+    # In:
+    points: wp.array[wp.vec3],
+    group: wp.array[wp.int32],
+    # In and out:
+    last: wp.array[wp.vec3],
+    farthest: wp.array[wp.float32],
 ):
     """One thread a point."""
     i = wp.tid()
@@ -170,7 +172,11 @@ def _measure_moves(
 
 
 @wp.kernel
-def _turn_odometers(farthest: wp.array(dtype=wp.float32), odometer: wp.array(dtype=wp.float64)):
+def _turn_odometers(
+    # In and out:
+    farthest: wp.array[wp.float32],
+    odometer: wp.array[wp.float64],
+):
     """One thread a group."""
     g = wp.tid()
     odometer[g] = odometer[g] + wp.float64(farthest[g])
@@ -178,17 +184,23 @@ def _turn_odometers(farthest: wp.array(dtype=wp.float32), odometer: wp.array(dty
 
 
 @wp.kernel
-def _clear_cells(start_out: wp.array(dtype=wp.int32)):
+def _clear_cells(
+    # Out:
+    start_out: wp.array[wp.int32],
+):
     start_out[wp.tid()] = 0
 
 
 @wp.kernel
 def _count_points(
+    # In:
     cells: Cells,
-    points: wp.array(dtype=wp.vec3),
-    group: wp.array(dtype=wp.int32),
-    cell_out: wp.array(dtype=wp.int32),
-    start_out: wp.array2d(dtype=wp.int32),
+    points: wp.array[wp.vec3],
+    group: wp.array[wp.int32],
+    # Out:
+    cell_out: wp.array[wp.int32],
+    # Out, added to:
+    start_out: wp.array2d[wp.int32],
 ):
     """One thread a point."""
     i = wp.tid()
@@ -199,16 +211,19 @@ def _count_points(
 
 @wp.kernel
 def _place_points(
-    points: wp.array(dtype=wp.vec3),
-    group: wp.array(dtype=wp.int32),
-    cell: wp.array(dtype=wp.int32),
-    start_out: wp.array2d(dtype=wp.int32),
-    order_out: wp.array(dtype=wp.int32),
-    sorted_out: wp.array(dtype=wp.vec3),
+    # In:
+    points: wp.array[wp.vec3],
+    group: wp.array[wp.int32],
+    cell: wp.array[wp.int32],
+    # In and out: where cells end, then where they begin
+    start: wp.array2d[wp.int32],
+    # Out:
+    order_out: wp.array[wp.int32],
+    sorted_out: wp.array[wp.vec3],
 ):
     """One thread a point. The order within a cell is not fixed; the search does not depend on it."""
     i = wp.tid()
-    slot = wp.atomic_sub(start_out, group[i], cell[i], 1) - 1
+    slot = wp.atomic_sub(start, group[i], cell[i], 1) - 1
     order_out[slot] = i
     sorted_out[slot] = points[i]
 

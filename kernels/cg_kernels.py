@@ -43,9 +43,9 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
     def apply_row(
         i: int,
         weight: float,
-        row: wp.array(dtype=wp.int32),
-        column: wp.array(dtype=wp.int32),
-        x: wp.array(dtype=dtype),
+        row: wp.array[wp.int32],
+        column: wp.array[wp.int32],
+        x: wp.array[dtype],
     ) -> dtype:
         """Row i of (I + lambda (D - A)) x."""
         begin = row[i]
@@ -75,24 +75,24 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
     def solve_systems(
         # In:
         first_system: int,
-        node: wp.array(dtype=wp.int32),
-        first: wp.array(dtype=wp.int32),
-        row: wp.array(dtype=wp.int32),
-        column: wp.array(dtype=wp.int32),
-        weight: wp.array(dtype=wp.float32),
+        node: wp.array[wp.int32],
+        first: wp.array[wp.int32],
+        row: wp.array[wp.int32],
+        column: wp.array[wp.int32],
+        weight: wp.array[wp.float32],
         tolerance: float,
         iterations_max: int,
-        rhs: wp.array(dtype=dtype),
-        # In as the last solution; out, compact:
-        x: wp.array(dtype=dtype),
-        # Scratch, compact:
-        r: wp.array(dtype=dtype),
-        p: wp.array(dtype=dtype),
-        ap: wp.array(dtype=dtype),
+        rhs: wp.array[dtype],
+        # In and out: the last solution, then this one, compact
+        x: wp.array[dtype],
+        # In and out: scratch, compact
+        r: wp.array[dtype],
+        p: wp.array[dtype],
+        ap: wp.array[dtype],
         # Out:
-        solution_out: wp.array(dtype=dtype),
-        iterations_out: wp.array(dtype=wp.int32),
-        residual_out: wp.array(dtype=wp.float32),
+        solution_out: wp.array[dtype],
+        iterations_out: wp.array[wp.int32],
+        residual_out: wp.array[wp.float32],
     ):
         """CPU: one thread a system."""
         s = first_system + wp.tid()
@@ -141,17 +141,20 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
 
     @wp.kernel(module="unique")
     def start(
-        node: wp.array(dtype=wp.int32),
-        system: wp.array(dtype=wp.int32),
-        row: wp.array(dtype=wp.int32),
-        column: wp.array(dtype=wp.int32),
-        weight: wp.array(dtype=wp.float32),
-        rhs: wp.array(dtype=dtype),
-        x: wp.array(dtype=dtype),
-        r_out: wp.array(dtype=dtype),
-        p_out: wp.array(dtype=dtype),
-        b_sq_out: wp.array(dtype=dtype),
-        r_sq_out: wp.array2d(dtype=dtype),
+        # In:
+        node: wp.array[wp.int32],
+        system: wp.array[wp.int32],
+        row: wp.array[wp.int32],
+        column: wp.array[wp.int32],
+        weight: wp.array[wp.float32],
+        rhs: wp.array[dtype],
+        x: wp.array[dtype],
+        # Out:
+        r_out: wp.array[dtype],
+        p_out: wp.array[dtype],
+        # Out, added to:
+        b_sq_out: wp.array[dtype],
+        r_sq_out: wp.array2d[dtype],
     ):
         """One thread a node."""
         i = wp.tid()
@@ -165,13 +168,15 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
 
     @wp.kernel(module="unique")
     def settle(
-        system: wp.array(dtype=wp.int32),
-        first: wp.array(dtype=wp.int32),
-        b_sq: wp.array(dtype=dtype),
-        x: wp.array(dtype=dtype),
-        r: wp.array(dtype=dtype),
-        p: wp.array(dtype=dtype),
-        r_sq: wp.array2d(dtype=dtype),
+        # In:
+        system: wp.array[wp.int32],
+        first: wp.array[wp.int32],
+        b_sq: wp.array[dtype],
+        # In and out:
+        x: wp.array[dtype],
+        r: wp.array[dtype],
+        p: wp.array[dtype],
+        r_sq: wp.array2d[dtype],
     ):
         """One thread a node: components that nothing is asked of are 0 and done."""
         i = wp.tid()
@@ -185,17 +190,20 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
 
     @wp.kernel(module="unique")
     def multiply(
+        # In:
         step: int,
         tolerance: float,
-        system: wp.array(dtype=wp.int32),
-        row: wp.array(dtype=wp.int32),
-        column: wp.array(dtype=wp.int32),
-        weight: wp.array(dtype=wp.float32),
-        b_sq: wp.array(dtype=dtype),
-        r_sq: wp.array2d(dtype=dtype),
-        p: wp.array(dtype=dtype),
-        ap_out: wp.array(dtype=dtype),
-        p_ap_out: wp.array2d(dtype=dtype),
+        system: wp.array[wp.int32],
+        row: wp.array[wp.int32],
+        column: wp.array[wp.int32],
+        weight: wp.array[wp.float32],
+        b_sq: wp.array[dtype],
+        r_sq: wp.array2d[dtype],
+        p: wp.array[dtype],
+        # Out:
+        ap_out: wp.array[dtype],
+        # Out, added to:
+        p_ap_out: wp.array2d[dtype],
     ):
         """One thread a node: A p and its part of p . A p."""
         i = wp.tid()
@@ -207,17 +215,19 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
 
     @wp.kernel(module="unique")
     def update(
+        # In:
         step: int,
         tolerance: float,
-        system: wp.array(dtype=wp.int32),
-        first: wp.array(dtype=wp.int32),
-        b_sq: wp.array(dtype=dtype),
-        p_ap: wp.array2d(dtype=dtype),
-        p: wp.array(dtype=dtype),
-        ap: wp.array(dtype=dtype),
-        x: wp.array(dtype=dtype),
-        r: wp.array(dtype=dtype),
-        r_sq: wp.array2d(dtype=dtype),
+        system: wp.array[wp.int32],
+        first: wp.array[wp.int32],
+        b_sq: wp.array[dtype],
+        p_ap: wp.array2d[dtype],
+        p: wp.array[dtype],
+        ap: wp.array[dtype],
+        # In and out:
+        x: wp.array[dtype],
+        r: wp.array[dtype],
+        r_sq: wp.array2d[dtype],
     ):
         """One thread a node: step along p, new residual and its part of the norm."""
         i = wp.tid()
@@ -234,13 +244,15 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
 
     @wp.kernel(module="unique")
     def turn(
+        # In:
         step: int,
         tolerance: float,
-        system: wp.array(dtype=wp.int32),
-        b_sq: wp.array(dtype=dtype),
-        r_sq: wp.array2d(dtype=dtype),
-        r: wp.array(dtype=dtype),
-        p: wp.array(dtype=dtype),
+        system: wp.array[wp.int32],
+        b_sq: wp.array[dtype],
+        r_sq: wp.array2d[dtype],
+        r: wp.array[dtype],
+        # In and out:
+        p: wp.array[dtype],
     ):
         """One thread a node: the next direction."""
         i = wp.tid()
@@ -249,19 +261,27 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
             p[i] = r[i] + wp.cw_mul(ratios(r_sq[step + 1, s], r_sq[step, s]), p[i])
 
     @wp.kernel(module="unique")
-    def finish(node: wp.array(dtype=wp.int32), x: wp.array(dtype=dtype), solution_out: wp.array(dtype=dtype)):
+    def finish(
+        # In:
+        node: wp.array[wp.int32],
+        x: wp.array[dtype],
+        # Out:
+        solution_out: wp.array[dtype],
+    ):
         """One thread a node."""
         i = wp.tid()
         solution_out[node[i]] = x[i]
 
     @wp.kernel(module="unique")
     def report(
+        # In:
         steps: int,
         tolerance: float,
-        b_sq: wp.array(dtype=dtype),
-        r_sq: wp.array2d(dtype=dtype),
-        iterations_out: wp.array(dtype=wp.int32),
-        residual_out: wp.array(dtype=wp.float32),
+        b_sq: wp.array[dtype],
+        r_sq: wp.array2d[dtype],
+        # Out:
+        iterations_out: wp.array[wp.int32],
+        residual_out: wp.array[wp.float32],
     ):
         """One thread a system."""
         s = wp.tid()
@@ -272,25 +292,36 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         residual_out[s] = wp.sqrt(worst_residual_sq(r_sq[steps, s], b_sq[s]))
 
     @wp.kernel(module="unique")
-    def clear(array: wp.array(dtype=dtype)):
-        array[wp.tid()] = dtype()
+    def clear(
+        # Out:
+        array_out: wp.array[dtype],
+    ):
+        array_out[wp.tid()] = dtype()
 
     @wp.kernel(module="unique")
-    def gather(node: wp.array(dtype=wp.int32), full: wp.array(dtype=dtype), compact_out: wp.array(dtype=dtype)):
+    def gather(
+        # In:
+        node: wp.array[wp.int32],
+        full: wp.array[dtype],
+        # Out:
+        compact_out: wp.array[dtype],
+    ):
         i = wp.tid()
         compact_out[i] = full[node[i]]
 
     @wp.kernel(module="unique")
     def multiply_add(
-        system: wp.array(dtype=wp.int32),
-        row: wp.array(dtype=wp.int32),
-        column: wp.array(dtype=wp.int32),
-        weight: wp.array(dtype=wp.float32),
-        x: wp.array(dtype=dtype),
-        y: wp.array(dtype=dtype),
+        # In:
+        system: wp.array[wp.int32],
+        row: wp.array[wp.int32],
+        column: wp.array[wp.int32],
+        weight: wp.array[wp.float32],
+        x: wp.array[dtype],
+        y: wp.array[dtype],
         alpha: float,
         beta: float,
-        z_out: wp.array(dtype=dtype),
+        # Out:
+        z_out: wp.array[dtype],
     ):
         """One thread a node: z = alpha (I + lambda L) x + beta y."""
         i = wp.tid()

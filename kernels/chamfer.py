@@ -34,11 +34,11 @@ def robust_weight(r_sq: float, alpha: float, power: int) -> float:
 
 @wp.func
 def mutual_weight(
-    points: wp.array(dtype=wp.vec3),
+    points: wp.array[wp.vec3],
     i: int,
-    back: wp.array(dtype=wp.int32),
+    back: wp.array[wp.int32],
     j: int,
-    reach: wp.array(dtype=wp.float32),
+    reach: wp.array[wp.float32],
     s: int,
 ) -> float:
     """Of the pair of point i with point j of the other set: 1 for partners that choose each other, 1/e at reach[s].
@@ -68,22 +68,22 @@ def adj_residual_energy(r: wp.vec3, n: wp.vec3, tangential: float, adj: float) -
 def _moving_to_fixed(
     # In:
     begin: int,
-    moving: wp.array(dtype=wp.vec3),
-    slot: wp.array(dtype=wp.int32),
-    nearest: wp.array(dtype=wp.int32),
-    fixed: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    share: wp.array(dtype=wp.float32),
-    weight: wp.array(dtype=wp.float32),
+    moving: wp.array[wp.vec3],
+    slot: wp.array[wp.int32],
+    nearest: wp.array[wp.int32],
+    fixed: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    share: wp.array[wp.float32],
+    weight: wp.array[wp.float32],
     alpha: float,
     power: int,
     tangential: float,
-    back: wp.array(dtype=wp.int32),
-    mutual_reach: wp.array(dtype=wp.float32),
+    back: wp.array[wp.int32],
+    mutual_reach: wp.array[wp.float32],
     # Out, added to:
-    loss_out: wp.array(dtype=wp.float64),
+    loss_out: wp.array[wp.float64],
     # Out:
-    adj_moving_out: wp.array(dtype=wp.vec3),
+    adj_moving_out: wp.array[wp.vec3],
 ):
     """One thread a moving point; its gradient is written, not added."""
     i = begin + wp.tid()
@@ -103,21 +103,21 @@ def _moving_to_fixed(
 def _fixed_to_moving(
     # In:
     begin: int,
-    fixed: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    slot: wp.array(dtype=wp.int32),
-    nearest: wp.array(dtype=wp.int32),
-    moving: wp.array(dtype=wp.vec3),
-    share: wp.array(dtype=wp.float32),
-    weight: wp.array(dtype=wp.float32),
+    fixed: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    slot: wp.array[wp.int32],
+    nearest: wp.array[wp.int32],
+    moving: wp.array[wp.vec3],
+    share: wp.array[wp.float32],
+    weight: wp.array[wp.float32],
     alpha: float,
     power: int,
     tangential: float,
-    back: wp.array(dtype=wp.int32),
-    mutual_reach: wp.array(dtype=wp.float32),
+    back: wp.array[wp.int32],
+    mutual_reach: wp.array[wp.float32],
     # Out, added to:
-    loss_out: wp.array(dtype=wp.float64),
-    adj_moving_out: wp.array(dtype=wp.vec3),
+    loss_out: wp.array[wp.float64],
+    adj_moving_out: wp.array[wp.vec3],
 ):
     """One thread a fixed point; its gradient lands on its nearest moving point, which others may share."""
     i = begin + wp.tid()

@@ -66,29 +66,30 @@ _SWEEPS = """
 
 @wp.func_native(_SWEEPS)
 def sweep(
-    order: wp.array(dtype=wp.int32),
-    row: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
-    value: wp.array(dtype=wp.float32),
-    inverse_pivot: wp.array(dtype=wp.float32),
-    rhs: wp.array(dtype=wp.vec3),
-    scratch: wp.array(dtype=wp.vec4),
-    solution_out: wp.array(dtype=wp.vec3),
+    order: wp.array[wp.int32],
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    value: wp.array[wp.float32],
+    inverse_pivot: wp.array[wp.float32],
+    rhs: wp.array[wp.vec3],
+    scratch: wp.array[wp.vec4],
+    solution_out: wp.array[wp.vec3],
 ): ...
 
 
 @wp.kernel
 def _solve_factored(
     # In:
-    order: wp.array(dtype=wp.int32),
-    row: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
-    value: wp.array(dtype=wp.float32),
-    inverse_pivot: wp.array(dtype=wp.float32),
-    rhs: wp.array(dtype=wp.vec3),
-    # Scratch and out:
-    scratch: wp.array(dtype=wp.vec4),
-    solution_out: wp.array(dtype=wp.vec3),
+    order: wp.array[wp.int32],
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    value: wp.array[wp.float32],
+    inverse_pivot: wp.array[wp.float32],
+    rhs: wp.array[wp.vec3],
+    # In and out: scratch
+    scratch: wp.array[wp.vec4],
+    # Out:
+    solution_out: wp.array[wp.vec3],
 ):
     """CPU: one thread."""
     sweep(order, row, column, value, inverse_pivot, rhs, scratch, solution_out)

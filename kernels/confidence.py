@@ -21,11 +21,11 @@ def _confidence(
     enabled: int,
     bound_is_mean: int,
     keyframe: int,
-    schedule: wp.array(dtype=wp.float32),
-    loss_input: wp.array(dtype=wp.float64),
-    loss_transform: wp.array(dtype=wp.float64),
+    schedule: wp.array[wp.float32],
+    loss_input: wp.array[wp.float64],
+    loss_transform: wp.array[wp.float64],
     # Out:
-    confidence_out: wp.array(dtype=wp.float32),
+    confidence_out: wp.array[wp.float32],
 ):
     """One thread a direction: 0 runs from the keyframe to the last frame, 1 to the first."""
     direction = wp.tid()

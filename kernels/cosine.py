@@ -135,14 +135,14 @@ _PASSES = """
 def solve_level(
     transition: int,
     level: int,
-    levels: wp.array(dtype=wp.int32),
+    levels: wp.array[wp.int32],
     lambda_: float,
-    halves: wp.array(dtype=wp.float32),
-    half_offset: wp.array(dtype=wp.int32),
-    eigenvalues: wp.array(dtype=wp.float32),
-    eigenvalue_offset: wp.array(dtype=wp.int32),
-    rhs: wp.array2d(dtype=node8),
-    solution: wp.array2d(dtype=node8),
+    halves: wp.array[wp.float32],
+    half_offset: wp.array[wp.int32],
+    eigenvalues: wp.array[wp.float32],
+    eigenvalue_offset: wp.array[wp.int32],
+    rhs: wp.array2d[node8],
+    solution: wp.array2d[node8],
 ): ...
 
 
@@ -150,15 +150,15 @@ def solve_level(
 def _solve_levels(
     # In:
     first_transition: int,
-    levels: wp.array(dtype=wp.int32),
-    lambdas: wp.array(dtype=wp.float32),
-    halves: wp.array(dtype=wp.float32),
-    half_offset: wp.array(dtype=wp.int32),
-    eigenvalues: wp.array(dtype=wp.float32),
-    eigenvalue_offset: wp.array(dtype=wp.int32),
-    rhs: wp.array2d(dtype=node8),
+    levels: wp.array[wp.int32],
+    lambdas: wp.array[wp.float32],
+    halves: wp.array[wp.float32],
+    half_offset: wp.array[wp.int32],
+    eigenvalues: wp.array[wp.float32],
+    eigenvalue_offset: wp.array[wp.int32],
+    rhs: wp.array2d[node8],
     # Out:
-    solution_out: wp.array2d(dtype=node8),
+    solution_out: wp.array2d[node8],
 ):
     """CPU: one thread a level of a transition."""
     count = lambdas.shape[0]
@@ -175,16 +175,16 @@ def _cosine_axis(
     # In:
     axis: int,
     backwards: int,
-    levels: wp.array(dtype=wp.int32),
-    node_level: wp.array(dtype=wp.int32),
-    lambdas: wp.array(dtype=wp.float32),
-    matrices: wp.array(dtype=wp.float32),
-    matrix_offset: wp.array(dtype=wp.int32),
-    eigenvalues: wp.array(dtype=wp.float32),
-    eigenvalue_offset: wp.array(dtype=wp.int32),
-    values: wp.array2d(dtype=node8),
+    levels: wp.array[wp.int32],
+    node_level: wp.array[wp.int32],
+    lambdas: wp.array[wp.float32],
+    matrices: wp.array[wp.float32],
+    matrix_offset: wp.array[wp.int32],
+    eigenvalues: wp.array[wp.float32],
+    eigenvalue_offset: wp.array[wp.int32],
+    values: wp.array2d[node8],
     # Out:
-    values_out: wp.array2d(dtype=node8),
+    values_out: wp.array2d[node8],
 ):
     """CUDA: one thread a node, one pass along one axis; the last forward pass also divides by the eigenvalues."""
     s, i = wp.tid()

@@ -13,7 +13,12 @@ wp.set_module_options(MODULE_OPTIONS)
 
 
 @wp.kernel
-def _flag_not_finite(array: wp.array(dtype=Any), flag_out: wp.array(dtype=wp.int32)):
+def _flag_not_finite(
+    # In:
+    array: wp.array[Any],
+    # Out:
+    flag_out: wp.array[wp.int32],
+):
     """One thread an entry; all that write, write the same."""
     a = array[wp.tid()]
     # x - x is 0 for every finite number, and NaN for NaN and infinity.
@@ -22,7 +27,7 @@ def _flag_not_finite(array: wp.array(dtype=Any), flag_out: wp.array(dtype=wp.int
 
 
 for _dtype in (node8, wp.vec3):
-    wp.overload(_flag_not_finite, [wp.array(dtype=_dtype), wp.array(dtype=wp.int32)])
+    wp.overload(_flag_not_finite, [wp.array[_dtype], wp.array[wp.int32]])
 
 
 def flag_not_finite(array, flag_out):

@@ -35,13 +35,13 @@ def _isometry(
     # In:
     begin: int,
     frame_count: int,
-    vertices: wp.array2d(dtype=wp.vec3),
-    edges: wp.array2d(dtype=wp.int32),
+    vertices: wp.array2d[wp.vec3],
+    edges: wp.array2d[wp.int32],
     share: float,
     weight: float,
     # Out, added to:
-    loss_out: wp.array(dtype=wp.float64),
-    adj_vertices_out: wp.array2d(dtype=wp.vec3),
+    loss_out: wp.array[wp.float64],
+    adj_vertices_out: wp.array2d[wp.vec3],
 ):
     """One thread an edge of a frame. The loss between t and t + 1 counts for frame t."""
     k = begin + wp.tid()
@@ -65,7 +65,13 @@ def _isometry(
 
 
 @wp.kernel
-def _lay_paths(begin: int, vertices: wp.array2d(dtype=wp.vec3), paths_out: wp.array3d(dtype=wp.float32)):
+def _lay_paths(
+    # In:
+    begin: int,
+    vertices: wp.array2d[wp.vec3],
+    # Out:
+    paths_out: wp.array3d[wp.float32],
+):
     """One thread a vertex. The first and the last frame are repeated: lengths do not change there."""
     i = begin + wp.tid()
     for k in range(paths_out.shape[2]):
@@ -113,14 +119,14 @@ _VERTEX = """
 @wp.func_native(_VERTEX)
 def keep_lengths(
     i: int,
-    paths: wp.array3d(dtype=wp.float32),
-    row: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
+    paths: wp.array3d[wp.float32],
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
     share: float,
     weight: float,
     part: int,
-    loss: wp.array2d(dtype=wp.float64),
-    adj_vertices: wp.array2d(dtype=wp.vec3),
+    loss: wp.array2d[wp.float64],
+    adj_vertices: wp.array2d[wp.vec3],
 ): ...
 
 
@@ -128,16 +134,16 @@ def keep_lengths(
 def _isometry_of_vertices(
     # In:
     begin: int,
-    paths: wp.array3d(dtype=wp.float32),
-    row: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
+    paths: wp.array3d[wp.float32],
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
     share: float,
     weight: float,
     part: int,
     # Out, added to:
-    loss_out: wp.array2d(dtype=wp.float64),
+    loss_out: wp.array2d[wp.float64],
     # Out:
-    adj_vertices_out: wp.array2d(dtype=wp.vec3),
+    adj_vertices_out: wp.array2d[wp.vec3],
 ):
     """CPU: one thread a vertex, all frames."""
     keep_lengths(begin + wp.tid(), paths, row, column, share, weight, part, loss_out, adj_vertices_out)

@@ -31,14 +31,14 @@ def motion_gradient(z: wp.vec3, x: wp.vec3, adj: wp.vec3) -> node8:
 def _move_points(
     # In:
     begin: int,
-    nodes: wp.array2d(dtype=node8),
-    levels: wp.array(dtype=wp.int32),
+    nodes: wp.array2d[node8],
+    levels: wp.array[wp.int32],
     level_count: int,
-    points: wp.array(dtype=wp.vec3),
-    transition: wp.array(dtype=wp.int32),
+    points: wp.array[wp.vec3],
+    transition: wp.array[wp.int32],
     # Out:
-    rotation_out: wp.array(dtype=wp.vec3),
-    moved_out: wp.array(dtype=wp.vec3),
+    rotation_out: wp.array[wp.vec3],
+    moved_out: wp.array[wp.vec3],
 ):
     """One thread a point."""
     i = begin + wp.tid()
@@ -53,14 +53,14 @@ def _move_points(
 def _adj_move_points(
     # In:
     begin: int,
-    levels: wp.array(dtype=wp.int32),
+    levels: wp.array[wp.int32],
     level_count: int,
-    points: wp.array(dtype=wp.vec3),
-    transition: wp.array(dtype=wp.int32),
-    rotation: wp.array(dtype=wp.vec3),
-    adj_moved: wp.array(dtype=wp.vec3),
+    points: wp.array[wp.vec3],
+    transition: wp.array[wp.int32],
+    rotation: wp.array[wp.vec3],
+    adj_moved: wp.array[wp.vec3],
     # Out, added to:
-    adj_nodes_out: wp.array2d(dtype=node8),
+    adj_nodes_out: wp.array2d[node8],
 ):
     """One thread a point. On the CPU a transition's points belong to one thread: nothing else adds to its nodes."""
     i = begin + wp.tid()
@@ -76,14 +76,14 @@ def _move_vertices(
     transition: int,
     source: int,
     target: int,
-    nodes: wp.array2d(dtype=node8),
-    levels: wp.array(dtype=wp.int32),
+    nodes: wp.array2d[node8],
+    levels: wp.array[wp.int32],
     level_count: int,
-    # In, row source; out, row target:
-    vertices: wp.array2d(dtype=wp.vec3),
+    # In and out: row source is read, row target written
+    vertices: wp.array2d[wp.vec3],
     # Out:
-    rotation_out: wp.array2d(dtype=wp.vec3),
-    jacobian_out: wp.array2d(dtype=wp.mat33),
+    rotation_out: wp.array2d[wp.vec3],
+    jacobian_out: wp.array2d[wp.mat33],
 ):
     """One thread a vertex, one step of the chain."""
     i = begin + wp.tid()
@@ -111,16 +111,16 @@ def _adj_move_vertices(
     target: int,
     carry_target: int,
     carry_source: int,
-    vertices: wp.array2d(dtype=wp.vec3),
-    rotation: wp.array2d(dtype=wp.vec3),
-    jacobian: wp.array2d(dtype=wp.mat33),
-    confidence: wp.array(dtype=wp.float32),
-    adj_chamfer: wp.array2d(dtype=wp.vec3),
-    adj_isometry: wp.array2d(dtype=wp.vec3),
-    # In, row carry_target; out, row carry_source:
-    carry: wp.array2d(dtype=wp.vec3),
+    vertices: wp.array2d[wp.vec3],
+    rotation: wp.array2d[wp.vec3],
+    jacobian: wp.array2d[wp.mat33],
+    confidence: wp.array[wp.float32],
+    adj_chamfer: wp.array2d[wp.vec3],
+    adj_isometry: wp.array2d[wp.vec3],
+    # In and out: row carry_target is read, row carry_source written
+    carry: wp.array2d[wp.vec3],
     # Out:
-    adj_motion_out: wp.array2d(dtype=node8),
+    adj_motion_out: wp.array2d[node8],
 ):
     """One thread a vertex, one step back: what frame target wants, plus what frames beyond it want."""
     i = begin + wp.tid()
@@ -135,12 +135,12 @@ def _scatter_vertices(
     begin: int,
     transition: int,
     source: int,
-    levels: wp.array(dtype=wp.int32),
+    levels: wp.array[wp.int32],
     level_count: int,
-    vertices: wp.array2d(dtype=wp.vec3),
-    adj_motion: wp.array2d(dtype=node8),
+    vertices: wp.array2d[wp.vec3],
+    adj_motion: wp.array2d[node8],
     # Out, added to:
-    adj_nodes_out: wp.array2d(dtype=node8),
+    adj_nodes_out: wp.array2d[node8],
 ):
     """One thread a vertex: its six-vector gradient to the nodes around it."""
     i = begin + wp.tid()
@@ -207,11 +207,11 @@ def _template_gradient(
     # In:
     keyframe: int,
     follow: int,
-    adj_chamfer: wp.array2d(dtype=wp.vec3),
-    adj_isometry: wp.array2d(dtype=wp.vec3),
-    carry: wp.array2d(dtype=wp.vec3),
+    adj_chamfer: wp.array2d[wp.vec3],
+    adj_isometry: wp.array2d[wp.vec3],
+    carry: wp.array2d[wp.vec3],
     # Out:
-    adj_template_out: wp.array(dtype=wp.vec3),
+    adj_template_out: wp.array[wp.vec3],
 ):
     """One thread a vertex."""
     i = wp.tid()

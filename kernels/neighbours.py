@@ -99,12 +99,12 @@ def search_ball(
     candidate: int,
     margin: float,
     cells: Cells,
-    points: wp.array(dtype=wp.vec3),
-    start: wp.array2d(dtype=wp.int32),
-    order: wp.array(dtype=wp.int32),
-    sorted_points: wp.array(dtype=wp.vec3),
-    index_out: wp.array(dtype=wp.int32),
-    bound_out: wp.array(dtype=wp.float32),
+    points: wp.array[wp.vec3],
+    start: wp.array2d[wp.int32],
+    order: wp.array[wp.int32],
+    sorted_points: wp.array[wp.vec3],
+    index_out: wp.array[wp.int32],
+    bound_out: wp.array[wp.float32],
 ): ...
 
 
@@ -112,30 +112,30 @@ def search_ball(
 def _nearest(
     # In:
     begin: int,
-    queries: wp.array(dtype=wp.vec3),
-    query_group: wp.array(dtype=wp.int32),
+    queries: wp.array[wp.vec3],
+    query_group: wp.array[wp.int32],
     cells: Cells,
-    points: wp.array(dtype=wp.vec3),
-    start: wp.array2d(dtype=wp.int32),
-    order: wp.array(dtype=wp.int32),
-    sorted_points: wp.array(dtype=wp.vec3),
-    odometer: wp.array(dtype=wp.float64),
+    points: wp.array[wp.vec3],
+    start: wp.array2d[wp.int32],
+    order: wp.array[wp.int32],
+    sorted_points: wp.array[wp.vec3],
+    odometer: wp.array[wp.float64],
     margin: float,
     # In and out: what is known from the last search of a query
-    anchor: wp.array(dtype=wp.vec3),
-    reading: wp.array(dtype=wp.float64),
-    bound: wp.array(dtype=wp.float32),
-    # In as the last answer or -1; out:
-    index_out: wp.array(dtype=wp.int32),
+    anchor: wp.array[wp.vec3],
+    reading: wp.array[wp.float64],
+    bound: wp.array[wp.float32],
+    # In and out: the last answer or -1, then the answer
+    index: wp.array[wp.int32],
 ):
     """One thread a query; a negative group asks nothing and answers -1."""
     i = begin + wp.tid()
     group = query_group[i]
     if group < 0:
-        index_out[i] = -1
+        index[i] = -1
         return
     q = queries[i]
-    best = index_out[i]
+    best = index[i]
     if best >= 0:
         # Nothing can have come nearer than the bound, less how far the query and any target have moved since.
         travelled = float(odometer[group] - reading[i])
@@ -148,7 +148,7 @@ def _nearest(
         if slot < 0:
             return
         best = order[slot]
-    search_ball(i, q, group, best, margin, cells, points, start, order, sorted_points, index_out, bound)
+    search_ball(i, q, group, best, margin, cells, points, start, order, sorted_points, index, bound)
     anchor[i] = q
     reading[i] = odometer[group]
 

@@ -142,19 +142,19 @@ _SEARCH_PACKETS = (
 def search_packets(
     begin: int,
     end: int,
-    queries: wp.array(dtype=wp.vec3),
-    query_group: wp.array(dtype=wp.int32),
+    queries: wp.array[wp.vec3],
+    query_group: wp.array[wp.int32],
     cells: Cells,
-    points: wp.array(dtype=wp.vec3),
-    start: wp.array2d(dtype=wp.int32),
-    order: wp.array(dtype=wp.int32),
-    sorted_points: wp.array(dtype=wp.vec3),
-    odometer: wp.array(dtype=wp.float64),
+    points: wp.array[wp.vec3],
+    start: wp.array2d[wp.int32],
+    order: wp.array[wp.int32],
+    sorted_points: wp.array[wp.vec3],
+    odometer: wp.array[wp.float64],
     margin: float,
-    anchor_out: wp.array(dtype=wp.vec3),
-    reading_out: wp.array(dtype=wp.float64),
-    bound_out: wp.array(dtype=wp.float32),
-    index_out: wp.array(dtype=wp.int32),
+    anchor_out: wp.array[wp.vec3],
+    reading_out: wp.array[wp.float64],
+    bound_out: wp.array[wp.float32],
+    index_out: wp.array[wp.int32],
 ): ...
 
 
@@ -164,32 +164,32 @@ def nearest_in_packets(
     begin: int,
     count: int,
     per_thread: int,
-    queries: wp.array(dtype=wp.vec3),
-    query_group: wp.array(dtype=wp.int32),
+    queries: wp.array[wp.vec3],
+    query_group: wp.array[wp.int32],
     cells: Cells,
-    points: wp.array(dtype=wp.vec3),
-    start: wp.array2d(dtype=wp.int32),
-    order: wp.array(dtype=wp.int32),
-    sorted_points: wp.array(dtype=wp.vec3),
-    odometer: wp.array(dtype=wp.float64),
+    points: wp.array[wp.vec3],
+    start: wp.array2d[wp.int32],
+    order: wp.array[wp.int32],
+    sorted_points: wp.array[wp.vec3],
+    odometer: wp.array[wp.float64],
     margin: float,
     # In and out: what is known from the last search of a query
-    anchor: wp.array(dtype=wp.vec3),
-    reading: wp.array(dtype=wp.float64),
-    bound: wp.array(dtype=wp.float32),
-    # In as the last answer or -1; out:
-    index_out: wp.array(dtype=wp.int32),
+    anchor: wp.array[wp.vec3],
+    reading: wp.array[wp.float64],
+    bound: wp.array[wp.float32],
+    # In and out: the last answer or -1, then the answer
+    index: wp.array[wp.int32],
 ):
     """CPU: one thread a run of queries; a negative group asks nothing and answers -1."""
     first = begin + per_thread * wp.tid()
     last = wp.min(first + per_thread, begin + count)
     for i in range(first, last):
-        if index_out[i] < 0 and query_group[i] >= 0:
+        if index[i] < 0 and query_group[i] >= 0:
             slot = first_candidate(queries[i], query_group[i], cells, start)
             if slot >= 0:
-                index_out[i] = order[slot]
+                index[i] = order[slot]
             bound[i] = -3.0e38  # whatever the odometer says: search
     search_packets(
         first, last, queries, query_group, cells, points, start, order, sorted_points, odometer, margin,
-        anchor, reading, bound, index_out,
+        anchor, reading, bound, index,
     )  # fmt: skip

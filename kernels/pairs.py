@@ -27,15 +27,15 @@ class Pairs:
 
     agreement: float
     share: float
-    reach: wp.array(dtype=wp.float32)
-    vertices: wp.array(dtype=wp.vec3)
-    normals: wp.array(dtype=wp.vec3)
-    frame: wp.array(dtype=wp.int32)
-    nearest: wp.array(dtype=wp.int32)
-    cloud: wp.array(dtype=wp.vec3)
-    cloud_normals: wp.array(dtype=wp.vec3)
-    back: wp.array(dtype=wp.int32)
-    mutual_reach: wp.array(dtype=wp.float32)
+    reach: wp.array[wp.float32]
+    vertices: wp.array[wp.vec3]
+    normals: wp.array[wp.vec3]
+    frame: wp.array[wp.int32]
+    nearest: wp.array[wp.int32]
+    cloud: wp.array[wp.vec3]
+    cloud_normals: wp.array[wp.vec3]
+    back: wp.array[wp.int32]
+    mutual_reach: wp.array[wp.float32]
 
 
 @wp.func

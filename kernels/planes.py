@@ -19,12 +19,12 @@ wp.set_module_options(MODULE_OPTIONS)
 def _vertex_normals(
     # In:
     begin: int,
-    faces: wp.array2d(dtype=wp.int32),
-    face_row: wp.array(dtype=wp.int32),
-    face_of: wp.array(dtype=wp.int32),
-    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d[wp.int32],
+    face_row: wp.array[wp.int32],
+    face_of: wp.array[wp.int32],
+    vertices: wp.array2d[wp.vec3],
     # Out:
-    normals_out: wp.array2d(dtype=wp.vec3),
+    normals_out: wp.array2d[wp.vec3],
 ):
     """One thread a vertex of a frame; area-weighted, zero where all faces around are degenerate."""
     k = begin + wp.tid()
@@ -44,8 +44,8 @@ def _vertex_planes(
     begin: int,
     pairs: Pairs,
     # Out:
-    matrix_out: wp.array(dtype=wp.mat33),
-    pull_out: wp.array(dtype=wp.vec3),
+    matrix_out: wp.array[wp.mat33],
+    pull_out: wp.array[wp.vec3],
 ):
     """One thread a vertex of a frame, with its nearest cloud point; written, not added."""
     i = begin + wp.tid()
@@ -67,8 +67,8 @@ def _cloud_planes(
     begin: int,
     pairs: Pairs,
     # Out, added to:
-    matrix_out: wp.array(dtype=wp.mat33),
-    pull_out: wp.array(dtype=wp.vec3),
+    matrix_out: wp.array[wp.mat33],
+    pull_out: wp.array[wp.vec3],
 ):
     """One thread a cloud point, with its nearest vertex, which others may share."""
     i = begin + wp.tid()

@@ -40,12 +40,12 @@ def nearest_rotation(s: wp.mat33) -> wp.mat33:
 def _fit_rotations(
     # In:
     begin: int,
-    row: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
-    rest: wp.array(dtype=wp.vec3),
-    vertices: wp.array2d(dtype=wp.vec3),
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    rest: wp.array[wp.vec3],
+    vertices: wp.array2d[wp.vec3],
     # Out:
-    rotation_out: wp.array2d(dtype=wp.mat33),
+    rotation_out: wp.array2d[wp.mat33],
 ):
     """One thread a vertex of a frame."""
     k = begin + wp.tid()
@@ -63,13 +63,13 @@ def _rigid_pull(
     # In:
     begin: int,
     weight: float,
-    row: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
-    rest: wp.array(dtype=wp.vec3),
-    rotation: wp.array2d(dtype=wp.mat33),
-    vertices: wp.array2d(dtype=wp.vec3),
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    rest: wp.array[wp.vec3],
+    rotation: wp.array2d[wp.mat33],
+    vertices: wp.array2d[wp.vec3],
     # Out, added to:
-    pull_out: wp.array2d(dtype=wp.vec3),
+    pull_out: wp.array2d[wp.vec3],
 ):
     """One thread a vertex of a frame."""
     k = begin + wp.tid()
@@ -87,13 +87,13 @@ def _rigid_pull(
 def _rest_pull(
     # In:
     begin: int,
-    frames: wp.array(dtype=wp.int32),
-    row: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
-    rotation: wp.array2d(dtype=wp.mat33),
-    vertices: wp.array2d(dtype=wp.vec3),
+    frames: wp.array[wp.int32],
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    rotation: wp.array2d[wp.mat33],
+    vertices: wp.array2d[wp.vec3],
     # Out:
-    pull_out: wp.array(dtype=wp.vec3),
+    pull_out: wp.array[wp.vec3],
 ):
     """One thread a vertex: what the frames asked, turned back, say of its edges."""
     i = begin + wp.tid()

@@ -27,9 +27,9 @@ def _advance(
     beta1: float,
     beta2: float,
     # In and out: [0] iterations done
-    step: wp.array(dtype=wp.int32),
+    step: wp.array[wp.int32],
     # Out:
-    schedule_out: wp.array(dtype=wp.float32),
+    schedule_out: wp.array[wp.float32],
 ):
     """One thread."""
     e = step[0]

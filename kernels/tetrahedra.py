@@ -64,13 +64,13 @@ def adj_crossing(s_i: float, s_j: float, adj: float) -> wp.vec2:
 def _surface_vertices(
     # In:
     begin: int,
-    edges: wp.array2d(dtype=wp.int32),
-    rest: wp.array(dtype=wp.vec3),
-    field: wp.array(dtype=node8),
+    edges: wp.array2d[wp.int32],
+    rest: wp.array[wp.vec3],
+    field: wp.array[node8],
     bound: float,
     # Out:
-    vertices_out: wp.array(dtype=wp.vec3),
-    outward_out: wp.array(dtype=wp.vec3),
+    vertices_out: wp.array[wp.vec3],
+    outward_out: wp.array[wp.vec3],
 ):
     """One thread a crossed edge."""
     e = begin + wp.tid()
@@ -92,13 +92,13 @@ def _surface_vertices(
 def _adj_surface_vertices(
     # In:
     begin: int,
-    edges: wp.array2d(dtype=wp.int32),
-    rest: wp.array(dtype=wp.vec3),
-    field: wp.array(dtype=node8),
+    edges: wp.array2d[wp.int32],
+    rest: wp.array[wp.vec3],
+    field: wp.array[node8],
     bound: float,
-    adj_vertices: wp.array(dtype=wp.vec3),
+    adj_vertices: wp.array[wp.vec3],
     # Out, added to:
-    adj_field_out: wp.array(dtype=node8),
+    adj_field_out: wp.array[node8],
 ):
     """One thread a crossed edge; its gradient lands on both nodes, which other edges share."""
     e = begin + wp.tid()
@@ -122,10 +122,10 @@ def _adj_surface_vertices(
 def _part_opposed(
     # In:
     begin: int,
-    sides: wp.array(dtype=wp.vec3),
-    target_sides: wp.array(dtype=wp.vec3),
+    sides: wp.array[wp.vec3],
+    target_sides: wp.array[wp.vec3],
     # In and out:
-    nearest: wp.array(dtype=wp.int32),
+    nearest: wp.array[wp.int32],
 ):
     """One thread a query."""
     i = begin + wp.tid()

@@ -239,9 +239,9 @@ _SCATTER = (
 
 @wp.func_native(_VALUE)
 def sample(
-    nodes: wp.array2d(dtype=node8),
+    nodes: wp.array2d[node8],
     transition: int,
-    levels: wp.array(dtype=wp.int32),
+    levels: wp.array[wp.int32],
     level_count: int,
     px: float,
     py: float,
@@ -251,9 +251,9 @@ def sample(
 
 @wp.func_native(_VALUE_AND_DERIVATIVE)
 def sample_with_derivative(
-    nodes: wp.array2d(dtype=node8),
+    nodes: wp.array2d[node8],
     transition: int,
-    levels: wp.array(dtype=wp.int32),
+    levels: wp.array[wp.int32],
     level_count: int,
     px: float,
     py: float,
@@ -263,9 +263,9 @@ def sample_with_derivative(
 
 @wp.func_native(_SCATTER)
 def adj_sample(
-    adj_nodes: wp.array2d(dtype=node8),
+    adj_nodes: wp.array2d[node8],
     transition: int,
-    levels: wp.array(dtype=wp.int32),
+    levels: wp.array[wp.int32],
     level_count: int,
     px: float,
     py: float,

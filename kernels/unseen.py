@@ -36,13 +36,13 @@ def middle_of_arc(p: wp.vec3, q: wp.vec3, turn: wp.mat33) -> wp.vec3:
 def _expected_places(
     # In:
     begin: int,
-    near: wp.array(dtype=wp.int32),
-    far: wp.array(dtype=wp.int32),
-    between: wp.array(dtype=wp.int32),
-    vertices: wp.array2d(dtype=wp.vec3),
-    rotation: wp.array2d(dtype=wp.mat33),
+    near: wp.array[wp.int32],
+    far: wp.array[wp.int32],
+    between: wp.array[wp.int32],
+    vertices: wp.array2d[wp.vec3],
+    rotation: wp.array2d[wp.mat33],
     # Out:
-    expected_out: wp.array2d(dtype=wp.vec3),
+    expected_out: wp.array2d[wp.vec3],
 ):
     """One thread a vertex of a frame."""
     k = begin + wp.tid()
@@ -62,11 +62,11 @@ def _hold_unseen(
     # In:
     begin: int,
     pairs: Pairs,
-    expected: wp.array(dtype=wp.vec3),
-    hold: wp.array(dtype=wp.float32),
+    expected: wp.array[wp.vec3],
+    hold: wp.array[wp.float32],
     # Out, added to:
-    matrix_out: wp.array(dtype=wp.mat33),
-    pull_out: wp.array(dtype=wp.vec3),
+    matrix_out: wp.array[wp.mat33],
+    pull_out: wp.array[wp.vec3],
 ):
     """One thread a vertex of a frame."""
     i = begin + wp.tid()

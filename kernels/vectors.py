@@ -11,36 +11,69 @@ wp.set_module_options(MODULE_OPTIONS)
 
 
 @wp.kernel
-def _clear(begin: int, array: wp.array(dtype=wp.float64)):
-    array[begin + wp.tid()] = wp.float64(0.0)
+def _clear(
+    # In:
+    begin: int,
+    # Out:
+    array_out: wp.array[wp.float64],
+):
+    array_out[begin + wp.tid()] = wp.float64(0.0)
 
 
 @wp.kernel
-def _clear_rows(begin: int, array: wp.array(dtype=wp.vec3)):
-    array[begin + wp.tid()] = wp.vec3(0.0, 0.0, 0.0)
+def _clear_rows(
+    # In:
+    begin: int,
+    # Out:
+    array_out: wp.array[wp.vec3],
+):
+    array_out[begin + wp.tid()] = wp.vec3(0.0, 0.0, 0.0)
 
 
 @wp.kernel
-def _copy(source: wp.array(dtype=wp.vec3), target_out: wp.array(dtype=wp.vec3)):
+def _copy(
+    # In:
+    source: wp.array[wp.vec3],
+    # Out:
+    target_out: wp.array[wp.vec3],
+):
     i = wp.tid()
     target_out[i] = source[i]
 
 
 @wp.kernel
-def _add_scaled(begin: int, scale: float, change: wp.array(dtype=wp.vec3), target_out: wp.array(dtype=wp.vec3)):
+def _add_scaled(
+    # In:
+    begin: int,
+    scale: float,
+    change: wp.array[wp.vec3],
+    # Out, added to:
+    target_out: wp.array[wp.vec3],
+):
     i = begin + wp.tid()
     target_out[i] = target_out[i] + scale * change[i]
 
 
 @wp.kernel
-def _blend(share: float, source: wp.array(dtype=wp.vec3), target_out: wp.array(dtype=wp.vec3)):
+def _blend(
+    # In:
+    share: float,
+    source: wp.array[wp.vec3],
+    # In and out:
+    target: wp.array[wp.vec3],
+):
     i = wp.tid()
-    target_out[i] = target_out[i] + share * (source[i] - target_out[i])
+    target[i] = target[i] + share * (source[i] - target[i])
 
 
 @wp.kernel
-def _clear_nodes(begin: int, array: wp.array(dtype=node8)):
-    array[begin + wp.tid()] = node8()
+def _clear_nodes(
+    # In:
+    begin: int,
+    # Out:
+    array_out: wp.array[node8],
+):
+    array_out[begin + wp.tid()] = node8()
 
 
 def clear_losses(begin, count, array):

@@ -19,11 +19,11 @@ wp.set_module_options(MODULE_OPTIONS)
 def _winding_numbers(
     # In:
     begin: int,
-    points: wp.array(dtype=wp.vec3),
-    area_normals: wp.array(dtype=wp.vec3),
-    places: wp.array(dtype=wp.vec3),
+    points: wp.array[wp.vec3],
+    area_normals: wp.array[wp.vec3],
+    places: wp.array[wp.vec3],
     # Out:
-    winding_out: wp.array(dtype=wp.float32),
+    winding_out: wp.array[wp.float32],
 ):
     """One thread a place."""
     k = begin + wp.tid()
