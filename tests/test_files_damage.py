@@ -13,7 +13,7 @@ from mutation_samples import las, pcd
 
 from warpdef.errors import InputError
 from warpdef.files import read_clouds, read_mesh, read_mesh_sequence, write_ply
-from warpdef.files.frame_files import CLOUD_SUFFIXES, read_surface
+from warpdef.files.formats import CLOUD_SUFFIXES, read_surface
 from warpdef.files.numpy_files import Npz, read_npy
 
 POINTS = np.random.default_rng(0).normal(size=(40, 3))

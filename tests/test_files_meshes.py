@@ -10,7 +10,7 @@ import pytest
 
 from warpdef.errors import InputError
 from warpdef.files import read_mesh, read_mesh_frames, read_mesh_sequence, same_triangles, write_ply
-from warpdef.files.frame_files import MESH_SUFFIXES, read_surface
+from warpdef.files.formats import MESH_SUFFIXES, read_surface
 from warpdef.files.surface import fan_triangles
 
 # Two vertices at one place and one without a face: what a reader that "cleans" would lose.

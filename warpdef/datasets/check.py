@@ -10,7 +10,8 @@ import numpy as np
 
 from warpdef.datasets.mesh_folders import mesh_folder, name_problems
 from warpdef.datasets.sequences import TrueSequence
-from warpdef.files.frame_files import MESH_SUFFIXES, find_frames, frame_files
+from warpdef.files.formats import MESH_SUFFIXES
+from warpdef.files.frame_files import find_frames, frame_files
 from warpdef.geometry import triangles
 from warpdef.mesh import TriMesh
 
@@ -122,7 +123,7 @@ def _frames(sequence: TrueSequence) -> Iterator[TriMesh]:
 
 
 def _cloud_problems(sequence: TrueSequence) -> list[str]:
-    from warpdef.files.frame_files import CLOUD_SUFFIXES
+    from warpdef.files.formats import CLOUD_SUFFIXES
 
     if sequence.clouds is None:
         return ["no clouds beside gt"]

@@ -13,7 +13,8 @@ from warpdef.datasets.registrations import HDF5_SUFFIXES, registration_sizes, sp
 from warpdef.datasets.sequences import TrueSequence
 from warpdef.errors import InputError, WarpdefError
 from warpdef.files.disk import must_exist
-from warpdef.files.frame_files import MESH_SUFFIXES, frame_files, natural_key, read_surface
+from warpdef.files.formats import MESH_SUFFIXES, read_surface
+from warpdef.files.frame_files import frame_files, natural_key
 
 _RUN_FILES = ("sequence.npz", "config.toml", "report.json")
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from warpdef.files.frame_files import CLOUD_SUFFIXES, MESH_SUFFIXES
+from warpdef.files.formats import CLOUD_SUFFIXES, MESH_SUFFIXES
 
 CLOUD_FOLDERS = ("point_clouds", "points_clouds", "pcl_seqs")
 """Where DynoSurf's sets keep clouds: the input first, the dense samples for its evaluation last."""

@@ -18,11 +18,15 @@ import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.files.disk import must_exist
-from warpdef.files.frame_files import CLOUD_SUFFIXES, find_frames, natural_key, read_surface, select_frames
+from warpdef.files.formats import CLOUD_SUFFIXES, read_surface
+from warpdef.files.frame_files import find_frames, natural_key, select_frames
 from warpdef.files.numpy_files import Npz, row, write_npz
 from warpdef.sequence import MIN_FRAMES, MIN_POINTS, Cloud, PointSequence
 
 _UNEQUAL = 'np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})'
+
+NamedFrame = tuple[str, Callable[[], Cloud]]
+"""What a frame is called, and a function that reads it."""
 
 
 def read_clouds(
@@ -53,8 +57,8 @@ def read_clouds(
         found = find_frames(path, CLOUD_SUFFIXES)
         files = select_frames(found.files, frames, MIN_FRAMES, path)
         named, notes = [(file.name, partial(_read_file, file)) for file in files], found.notes
-    elif path.suffix.lower() == ".npz":
-        named, notes = _npz_frames(Npz(path), frames), []
+    elif path.suffix.lower() in CONTAINERS:
+        named, notes = CONTAINERS[path.suffix.lower()](path, frames), []
     elif path.suffix.lower() in CLOUD_SUFFIXES:
         suffix = path.suffix.lower()
         raise InputError(f"{path}: expected a sequence, got one file; give the folder of numbered {suffix} files")
@@ -71,8 +75,8 @@ def _read_file(path: Path) -> Cloud:
     return surface.points, surface.normals
 
 
-def _npz_frames(npz: Npz, frames: slice | None) -> list[tuple[str, Callable[[], Cloud]]]:
-    """Name and reader of each frame chosen."""
+def _npz_frames(path: Path, frames: slice | None) -> list[NamedFrame]:
+    npz = Npz(path)
     file = npz.path.name
     if "points" in npz:
         points, normals, chosen = _npz_arrays(npz, frames)
@@ -92,6 +96,10 @@ def _npz_frames(npz: Npz, frames: slice | None) -> list[tuple[str, Callable[[], 
 
     chosen = select_frames(numbered, frames, MIN_FRAMES, npz.path)
     return [(f"{name} of {file}", partial(read, name)) for name in chosen]
+
+
+CONTAINERS: dict[str, Callable[[Path, slice | None], list[NamedFrame]]] = {".npz": _npz_frames}
+"""Files that hold all frames of a sequence, by suffix: a function that gives name and reader of each frame chosen."""
 
 
 def _npz_arrays(npz: Npz, frames: slice | None) -> tuple[np.ndarray, np.ndarray | None, list[int]]:

@@ -1,4 +1,4 @@
-"""A folder of numbered files as frames: which files, in which order, and the reader that a suffix asks for."""
+"""A folder of numbered files as frames: which files, in which order."""
 
 from __future__ import annotations
 
@@ -11,10 +11,6 @@ from typing import TypeVar
 
 from warpdef.errors import InputError
 from warpdef.files.disk import must_exist, reason
-from warpdef.files.surface import Surface
-
-MESH_SUFFIXES = (".ply", ".obj", ".off")
-CLOUD_SUFFIXES = (*MESH_SUFFIXES, ".xyz", ".npy", ".pcd", ".las", ".laz")
 
 _Item = TypeVar("_Item")
 
@@ -126,34 +122,3 @@ def select_frames(items: Sequence[_Item], frames: slice | None, minimum: int, wh
             f"{where}: --frames: expected at least {minimum} of {len(items)} frames, got {len(chosen)}; widen the range"
         )
     return chosen
-
-
-def read_surface(path: Path, suffixes: Sequence[str]) -> Surface:
-    """Contents of one file, by its suffix.
-
-    Raises:
-        InputError: missing, an unknown suffix, or anything the format's reader complains about.
-        MissingPackageError: the format needs a package that is not installed.
-    """
-    from warpdef.files.las import read_las
-    from warpdef.files.numpy_files import read_npy
-    from warpdef.files.pcd import read_pcd
-    from warpdef.files.ply import read_ply
-    from warpdef.files.text_formats import read_obj, read_off, read_xyz, split_columns
-
-    suffix = path.suffix.lower()
-    if suffix not in suffixes:
-        why = " (STL keeps no shared vertices)" if suffix == ".stl" else ""
-        raise InputError(
-            f"{path}: unknown suffix '{suffix}'{why}; expected one of {' '.join(suffixes)}; convert the file"
-        )
-    readers = {".ply": read_ply, ".obj": read_obj, ".off": read_off, ".xyz": read_xyz, ".pcd": read_pcd}
-    readers |= {".las": read_las, ".laz": read_las, ".npy": lambda p: split_columns(read_npy(p), str(p))}
-    try:
-        return readers[suffix](path)
-    except InputError:
-        raise
-    except (ValueError, OverflowError, MemoryError) as error:
-        raise InputError(
-            f"{path}: cannot be read as {suffix} ({reason(error):.120}); it is damaged: write it again"
-        ) from None

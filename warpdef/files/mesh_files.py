@@ -11,7 +11,8 @@ import numpy as np
 from warpdef.appearance import Appearance
 from warpdef.errors import InputError
 from warpdef.files.disk import must_exist
-from warpdef.files.frame_files import CLOUD_SUFFIXES, MESH_SUFFIXES, frame_files, read_surface, select_frames
+from warpdef.files.formats import CLOUD_SUFFIXES, MESH_SUFFIXES, read_surface
+from warpdef.files.frame_files import frame_files, select_frames
 from warpdef.files.numpy_files import Npz
 from warpdef.files.surface import Surface
 from warpdef.files.texture import read_texture

@@ -16,6 +16,8 @@ import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.files.disk import Unpacking, must_exist, reason, replacing
+from warpdef.files.surface import Surface
+from warpdef.files.text_formats import split_columns
 
 MAPPED_FROM = 1 << 26
 """Arrays of at least so many bytes, 64 MiB, that are not compressed are mapped into memory, not read into it."""
@@ -43,6 +45,15 @@ def read_npy(path: Path) -> np.ndarray:
             return _read_array(stream, path.stat().st_size, str(path))
 
     return _guarded(read, path)
+
+
+def read_npy_points(path: Path) -> Surface:
+    """Positions (N, 3), or with normals (N, 6).
+
+    Raises:
+        InputError: as ``read_npy``, or another shape.
+    """
+    return split_columns(read_npy(path), str(path))
 
 
 class Npz:

@@ -1,0 +1,69 @@
+"""The formats that hold one cloud or one mesh a file, by suffix: one table, and the way to read a file by it.
+
+A new format is a file with a function ``read(path) -> Surface`` and a line in ``FORMATS``. Files that hold all frames
+of a sequence have a table of their own, ``cloud_files.CONTAINERS``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from warpdef.errors import InputError
+from warpdef.files.disk import reason
+from warpdef.files.surface import Surface
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format.
+
+    reader:    ``module:function`` of this package, called with a path
+    has_faces: it can hold a mesh, not points alone
+    """
+
+    reader: str
+    has_faces: bool = False
+
+
+FORMATS = {
+    ".ply": Format("ply:read_ply", has_faces=True),
+    ".obj": Format("text_formats:read_obj", has_faces=True),
+    ".off": Format("text_formats:read_off", has_faces=True),
+    ".xyz": Format("text_formats:read_xyz"),
+    ".npy": Format("numpy_files:read_npy_points"),
+    ".pcd": Format("pcd:read_pcd"),
+    ".las": Format("las:read_las"),
+    ".laz": Format("las:read_las"),
+}
+"""Formats of one frame by suffix."""
+
+CLOUD_SUFFIXES = tuple(FORMATS)
+MESH_SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.has_faces)
+
+
+def read_surface(path: Path, suffixes: Sequence[str]) -> Surface:
+    """Contents of one file, by its suffix.
+
+    Raises:
+        InputError: missing, an unknown suffix, or anything the format's reader complains about.
+        MissingPackageError: the format needs a package that is not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in suffixes:
+        why = " (STL keeps no shared vertices)" if suffix == ".stl" else ""
+        raise InputError(
+            f"{path}: unknown suffix '{suffix}'{why}; expected one of {' '.join(suffixes)}; convert the file"
+        )
+    module, function = FORMATS[suffix].reader.split(":")
+    read = getattr(importlib.import_module(f"warpdef.files.{module}"), function)
+    try:
+        return read(path)
+    except InputError:
+        raise
+    except (ValueError, OverflowError, MemoryError) as error:
+        raise InputError(
+            f"{path}: cannot be read as {suffix} ({reason(error):.120}); it is damaged: write it again"
+        ) from None
