@@ -13,6 +13,7 @@ from warpdef.cleaning import drop_strays
 from warpdef.config import Config, parse_slice
 from warpdef.device import find_device
 from warpdef.errors import InputError
+from warpdef.far_points import drop_far
 from warpdef.files import read_mesh
 from warpdef.fit.saving import Saved
 from warpdef.memory import MemoryEstimate, require_memory
@@ -101,7 +102,7 @@ def prepare(
 
 
 def clean(sequence: PointSequence, config: Config) -> PointSequence:
-    """The points that the method uses: strays left out, then at most ``config.points`` drawn from the rest."""
+    """The points that the method uses: far ones and strays left out, then at most ``config.points`` of the rest."""
     if config.drop_strays:
-        sequence = drop_strays(sequence)
+        sequence = drop_strays(drop_far(sequence))
     return sequence.subsample(config.points, config.seed) if config.points else sequence
