@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import bending_bar, icosphere, sample_surface
 
-from warpdef.cleaning import drop_strays, inlier_mask
+from warpdef.cleaning.strays import drop_strays, inlier_mask
 from warpdef.sequence import PointSequence
 
 

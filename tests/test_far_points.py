@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic import icosphere, sample_surface
 
+from warpdef.cleaning.far_points import drop_far, find_far
 from warpdef.config import Config
-from warpdef.far_points import drop_far, find_far
 from warpdef.prepare import clean
 from warpdef.sequence import PointSequence, Similarity
 

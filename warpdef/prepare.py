@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from warpdef.cleaning import drop_strays
+from warpdef.cleaning.far_points import drop_far
+from warpdef.cleaning.strays import drop_strays
 from warpdef.config import Config, parse_slice
 from warpdef.device import find_device
 from warpdef.errors import InputError
-from warpdef.far_points import drop_far
 from warpdef.files import read_mesh
 from warpdef.fit.saving import Saved
 from warpdef.memory import MemoryEstimate, require_memory

@@ -9,7 +9,7 @@ with it voxels, Poisson cells and the last digit of float32. In each frame:
 2. Those beyond the gap are far. They are left out if they are few and no dense surface (a ball in the air is one), or
    few and very far, or if one coordinate of all of them is the same number, which no scanner measures.
 
-A cloud without such a gap keeps every point. What lies closer is for ``cleaning``, which looks at spacings.
+A cloud without such a gap keeps every point. What lies closer is for ``strays``, which looks at spacings.
 """
 
 from __future__ import annotations
