@@ -15,6 +15,7 @@ from cyclopts import App
 
 from warpdef import __version__
 from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_INTERRUPTED, EXIT_OK
+from warpdef.apps.streams import guarded_streams, open_missing_descriptors
 from warpdef.errors import WarpdefError
 
 COMMANDS = {
@@ -30,6 +31,9 @@ COMMANDS = {
     "view": "Show a result in a window, or as pictures, a movie or a web page.",
 }
 """Name and summary; ``name`` is the function ``name`` of ``warpdef.apps.name``."""
+
+ANSWERING = ("evaluate", "datasets")
+"""Commands whose answer is what they print."""
 
 TRACEBACK_VARIABLE = "WARPDEF_TRACEBACK"
 
@@ -58,6 +62,18 @@ def run(arguments: Sequence[str] | None = None) -> int:
     anything else is a defect of ours and keeps its traceback.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
+    with guarded_streams() as shown:
+        code = _run(arguments)
+        shown.flush()
+        if shown.lost is not None:
+            _say(f"standard output cannot be written ({shown.lost.strerror}): what was to be shown there is lost")
+            # Of these commands that was all; the others have their result in files.
+            if code == EXIT_OK and (not arguments or arguments[0] not in COMMANDS or arguments[0] in ANSWERING):
+                code = EXIT_ERROR
+    return code
+
+
+def _run(arguments: Sequence[str]) -> int:
     tracebacks = os.environ.get(TRACEBACK_VARIABLE, "") not in ("", "0")
     try:
         app = build_app(arguments[0] if arguments else "")
@@ -85,6 +101,7 @@ def _say(text: str) -> None:
 
 def main() -> None:
     """Entry point of the ``warpdef`` console script."""
+    open_missing_descriptors()
     sys.exit(run())
 
 

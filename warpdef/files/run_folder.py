@@ -170,7 +170,8 @@ class RunFolder:
 def write_text(path: Path, text: str) -> None:
     """Write a file of a run, whole or not at all."""
     with replacing(path) as stream:
-        stream.write(text.encode("utf-8"))
+        # A file name of bytes that are no UTF-8 must not cost the result: a question mark stands for each.
+        stream.write(text.encode("utf-8", errors="replace"))
 
 
 def _check_place(path: Path, overwrite: bool) -> None:
