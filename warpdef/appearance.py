@@ -75,7 +75,8 @@ class Appearance:
         Raises:
             InputError: an array does not fit the mesh.
         """
-        return cls.checked(vertex_count, face_count, *(arrays.get(name) for name in cls.NAMES))
+        colors, uv, corner_uv = (arrays.get(name) for name in cls.NAMES)
+        return cls.checked(vertex_count, face_count, colors, uv, corner_uv)
 
 
 def split_seams(corner_uv: np.ndarray, faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, ...]:

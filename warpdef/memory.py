@@ -134,7 +134,7 @@ def _groups(root: Path, own: Path) -> Iterator[tuple[Path, str, str, str]]:
     for parts in lines:
         if len(parts) != 3 or parts[1] not in ("", "memory"):
             continue
-        base, names = (root, ("memory.max", "memory.current", "inactive_file"))
+        base, names = root, ("memory.max", "memory.current", "inactive_file")
         if parts[1]:
             base = root / "memory"
             names = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
@@ -142,7 +142,7 @@ def _groups(root: Path, own: Path) -> Iterator[tuple[Path, str, str, str]]:
         # A container sees its own group as the root, whatever the path says.
         for place in dict.fromkeys([folder, *folder.parents, base]):
             if place == base or base in place.parents:
-                yield place, *names
+                yield place, names[0], names[1], names[2]
 
 
 def require_memory(

@@ -130,7 +130,10 @@ def reconstruct(
 def _template(
     sequence: PointSequence, template: TriMesh | None, into: Similarity, config: Config, saved: Saved | None
 ) -> ChosenTemplate:
-    mine = None if template is None else TriMesh(into.to_cube(template.vertices), template.faces)
+    mine, notes = None, ()
+    if template is not None:
+        mine = TriMesh(into.to_cube(template.vertices), template.faces)
+        notes = template.appearance.notes if template.appearance else ()
     if saved is not None:
         return saved.template(mine)
     # Frames are numbered as in the input: one without usable points is an empty cloud.
@@ -138,7 +141,6 @@ def _template(
     if mine is None:
         return choose_template(clouds, sequence.all_normals(), config)
     chosen = accept_user_template(mine, clouds, config)
-    notes = template.appearance.notes if template.appearance else ()
     return replace(chosen, warnings=[*notes, *chosen.warnings])
 
 

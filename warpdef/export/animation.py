@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -51,7 +51,7 @@ class Animation:
     colors: np.ndarray | None = None
     uv: np.ndarray | None = None
     normals: np.ndarray | None = None
-    origin: np.ndarray | None = None
+    origin: np.ndarray = cast(np.ndarray, None)  # chosen below if not given
     texture: Texture | None = None
 
     def __post_init__(self) -> None:

@@ -52,8 +52,9 @@ def write_ply_frames(
     fields += [(name, "u1") for name in shades]
     fields += [] if uv is None else [("s", "<f4"), ("t", "<f4")]
     rows = np.zeros(points.shape[1], dtype=fields)
-    for column, name in enumerate(shades):
-        rows[name] = colors[:, column]
+    if colors is not None:
+        for column, name in enumerate(shades):
+            rows[name] = colors[:, column]
     if uv is not None:
         rows["s"], rows["t"] = uv.T
     words = {"<f4": "float", "<f8": "double", "u1": "uchar"}

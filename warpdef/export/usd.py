@@ -33,8 +33,9 @@ def write_usd(animation: Animation, path: Path) -> None:
         ) from error
     packed = path.suffix == ".usdz"
     layer = path.with_name("scene.usdc") if packed else path
-    image = None if animation.texture is None else path.with_name(image_name(animation.texture, path))
-    if image is not None:
+    image = None
+    if animation.texture is not None:
+        image = path.with_name(image_name(animation.texture, path))
         image.write_bytes(animation.texture.data)
     try:
         stage = Usd.Stage.CreateNew(str(layer))

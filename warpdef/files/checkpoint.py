@@ -63,7 +63,7 @@ def write_checkpoint(path: Path, facts: Mapping[str, Any], arrays: Mapping[str, 
             _MAGIC,
             len(header).to_bytes(8, "little"),
             header,
-            *(a.reshape(-1).view("u1") for a in data.values()),
+            *(a.reshape(-1).view("u1").data for a in data.values()),
         ):
             digest.update(piece)
             stream.write(piece)
@@ -108,8 +108,8 @@ def digests(points: Sequence[np.ndarray], normals: Sequence[np.ndarray | None]) 
     """A short digest of every frame: of its points' and normals' bytes, T hexadecimal strings."""
 
     def digest(p: np.ndarray, n: np.ndarray | None) -> str:
-        found = hashlib.blake2b(np.ascontiguousarray(p).view("u1"), digest_size=12)
-        found.update(b"" if n is None else np.ascontiguousarray(n).view("u1"))
+        found = hashlib.blake2b(np.ascontiguousarray(p).view("u1").data, digest_size=12)
+        found.update(b"" if n is None else np.ascontiguousarray(n).view("u1").data)
         return found.hexdigest()
 
     return [digest(p, n) for p, n in zip(points, normals, strict=True)]

@@ -139,6 +139,7 @@ def row(array: np.ndarray, index: int) -> np.ndarray:
     """``array[index]``; of a mapped array by a mapping of its own, so that its pages leave memory together with it."""
     if not isinstance(array, np.memmap) or not array.flags.c_contiguous or not array[index].size:
         return array[index]
+    assert array.filename is not None  # it is mapped from a file
     offset = array.offset + index * array.strides[0]
     return np.memmap(array.filename, dtype=array.dtype, mode="r", offset=offset, shape=array.shape[1:])
 

@@ -241,8 +241,8 @@ def _colors(columns: dict, element: _Element) -> np.ndarray | None:
 
 def _texture(columns: dict) -> np.ndarray | None:
     for pair in (("s", "t"), ("u", "v"), ("texture_u", "texture_v")):
-        found = [columns.get(name) for name in pair]
-        if all(isinstance(column, np.ndarray) for column in found):
+        found = [column for name in pair if isinstance(column := columns.get(name), np.ndarray)]
+        if len(found) == len(pair):
             with np.errstate(invalid="ignore"):
                 return np.stack(found, axis=1).astype(np.float64)
     return None

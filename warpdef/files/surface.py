@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,7 +51,7 @@ class Surface:
     notes: tuple[str, ...] = ()
 
 
-def fan_triangles(indices: np.ndarray, counts: np.ndarray, where: str) -> np.ndarray:
+def fan_triangles(indices: np.ndarray, counts: Sequence[int] | np.ndarray, where: str) -> np.ndarray:
     """Polygons to triangles, each polygon a fan around its first vertex, in the order given.
 
     Args:

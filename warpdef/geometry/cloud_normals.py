@@ -19,6 +19,7 @@ NumPy and SciPy only; double precision outside the grids; the same input gives t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 
@@ -221,8 +222,9 @@ class _CurlFreeField:
     """Vectors on points, smeared on a periodic grid and freed of curl; and the potentials that go with them."""
 
     def __init__(self, points: np.ndarray, cell: float) -> None:
-        import scipy.fft as fft
+        import scipy.fft
 
+        fft: Any = scipy.fft  # its functions are handed on to others, which hides their types
         self._fft = fft
         low = points.min(axis=0)
         extent = points.max(axis=0) - low
@@ -254,7 +256,8 @@ class _CurlFreeField:
         return (grid[self._index] * self._weight).sum(axis=1).astype(np.float64), float(grid[0])
 
     def _divergence(self, vectors: np.ndarray) -> np.ndarray:
-        return sum(k * self._fft.rfftn(self._spread(v)) for k, v in zip(self._k, vectors.T, strict=True))
+        parts = (k * self._fft.rfftn(self._spread(v)) for k, v in zip(self._k, vectors.T, strict=True))
+        return cast(np.ndarray, sum(parts))  # there are three: it is not the bare 0
 
     def project(self, vectors: np.ndarray) -> np.ndarray:
         """The curl-free part of vectors (N, 3) on the points, smoothed, at the points (N, 3)."""

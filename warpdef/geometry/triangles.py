@@ -107,7 +107,8 @@ def boundary_loops(faces: np.ndarray) -> int:
     if len(edges) == 0:
         return 0
     used, edges = np.unique(edges, return_inverse=True)
-    return int(component_labels(*edges.reshape(-1, 2).T, len(used)).max()) + 1
+    starts, ends = edges.reshape(-1, 2).T
+    return int(component_labels(starts, ends, len(used)).max()) + 1
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -24,14 +24,14 @@ def fill_gaps(
     Returns:
         Shape (frame_count, V, 3); the fitted frames unchanged to the bit.
     """
-    numbers = np.asarray(numbers)
-    if len(numbers) == frame_count:
+    fitted = np.asarray(numbers)
+    if len(fitted) == frame_count:
         return vertices
     filled = np.empty((frame_count, *vertices.shape[1:]), dtype=vertices.dtype)
-    filled[numbers] = vertices
-    filled[: numbers[0]], filled[numbers[-1] + 1 :] = vertices[0], vertices[-1]
-    for t in np.flatnonzero(np.diff(numbers) > 1):
-        start, end = numbers[t], numbers[t + 1]
+    filled[fitted] = vertices
+    filled[: fitted[0]], filled[fitted[-1] + 1 :] = vertices[0], vertices[-1]
+    for t in np.flatnonzero(np.diff(fitted) > 1):
+        start, end = fitted[t], fitted[t + 1]
         shares = np.arange(1, end - start) / (end - start)
         filled[start + 1 : end] = _between(vertices[t : t + 2], shares, faces)
     return filled

@@ -88,9 +88,9 @@ class GridMotion:
     def arrays(self) -> dict[str, np.ndarray]:
         """What an .npz of it holds."""
         return {
-            **{"nodes": self.nodes, "step": np.float64(self.step), "levels": np.array([self.coarsest, self.finest])},
+            **{"nodes": self.nodes, "step": np.array(self.step, dtype=np.float64), "levels": np.array([self.coarsest, self.finest])},
             **{"keyframe": np.array(self.keyframe), "centre": np.asarray(self.into.centre, dtype=np.float64)},
-            **{"scale": np.float64(self.into.scale), "frames": np.array(self.frames)},
+            **{"scale": np.array(self.into.scale, dtype=np.float64), "frames": np.array(self.frames)},
             "frame_count": np.array(self.frame_count),
         }
 

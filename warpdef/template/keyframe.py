@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -135,7 +136,8 @@ def _objects(points: np.ndarray, cells: int) -> int:
     where, count = _cells(points, cells)
     grid = np.zeros((cells,) * 3, dtype=np.int64)
     grid[where[:, 0], where[:, 1], where[:, 2]] = count
-    labels, pieces = label(grid > 0, np.ones((3, 3, 3)))
+    # Without an array to write to, it returns both; SciPy says so in words only.
+    labels, pieces = cast("tuple[np.ndarray, int]", label(grid > 0, np.ones((3, 3, 3))))
     size = np.bincount(labels.ravel(), grid.ravel(), minlength=pieces + 1)[1:]
     return max(int((size >= OBJECT_SHARE * len(points)).sum()), 1)
 

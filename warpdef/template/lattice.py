@@ -132,7 +132,7 @@ def march(lattice: Lattice, distance: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """
     inside = (distance < 0).ravel()
     cells = np.argwhere(crossed_cells(distance))
-    lowest = np.ravel_multi_index(tuple(cells.T), lattice.shape)
+    lowest = np.asarray(np.ravel_multi_index(tuple(cells.T), lattice.shape))
     ends = [np.zeros((0, 3, 2), dtype=np.int64)]
     for corners in _TETRAHEDRA:
         nodes = lowest[:, None] + lattice.steps(CORNERS[corners])

@@ -69,7 +69,8 @@ class OrientedCloud:
         centre, unit = self.sources.mean(axis=0), self.spacing
         sources, sides = (self.sources - centre) / unit, self.area_normals / unit**2
         found = wp.zeros(len(places), dtype=wp.float32, device="cpu")
-        winding_numbers(0, len(places), *map(_vectors, (sources, sides, (places - centre) / unit)), found)
+        at = (places - centre) / unit
+        winding_numbers(0, len(places), _vectors(sources), _vectors(sides), _vectors(at), found)
         return found.numpy()
 
 

@@ -282,11 +282,8 @@ def _surface(lattice: Lattice, distance: np.ndarray, offset: np.ndarray) -> tupl
     field = np.zeros((len(nodes), 8), dtype=np.float32)
     field[:, 0] = distance.ravel()[nodes]
     field[:, 1:4] = offset.reshape(-1, 3)[nodes]
-    on_device = [
-        wp.array(edges.reshape(-1, 2).astype(np.int32), dtype=wp.int32, device="cpu"),
-        _vectors(lattice.places(nodes)),
-        wp.array(field, dtype=node8, device="cpu"),
-    ]
+    ends = wp.array(edges.reshape(-1, 2).astype(np.int32), dtype=wp.int32, device="cpu")
+    rest, values = _vectors(lattice.places(nodes)), wp.array(field, dtype=node8, device="cpu")
     vertices, outward = (wp.zeros(len(crossed), dtype=wp.vec3, device="cpu") for _ in range(2))
-    surface_vertices(0, len(crossed), *on_device, OFFSET_MAX, vertices, outward)
+    surface_vertices(0, len(crossed), ends, rest, values, OFFSET_MAX, vertices, outward)
     return lattice.from_cells(vertices.numpy()), faces

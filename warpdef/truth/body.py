@@ -39,13 +39,16 @@ JOINTS = {
 """Where a bone starts in the rest pose, metres, shape (3,); paired bones for the left side."""
 
 
+_Place = np.ndarray | tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class _RoundCone:
     """Two spheres and the cone tangent to both."""
 
     bone: str
-    start: np.ndarray
-    end: np.ndarray
+    start: _Place
+    end: _Place
     start_radius: float
     end_radius: float
 
@@ -199,6 +202,7 @@ def body_distance(points: np.ndarray) -> np.ndarray:
         for part in parts[1:]:
             group = _smooth_minimum(group, part.distance(folded), blend)
         body = group if body is None else _smooth_minimum(body, group, _JOIN_BLEND)
+    assert body is not None
     # Flat soles: cut by the ground plane.
     return -_smooth_minimum(-body, folded[:, 1] - 0.001, _SOLE_BLEND)
 
