@@ -88,9 +88,13 @@ class GridMotion:
     def arrays(self) -> dict[str, np.ndarray]:
         """What an .npz of it holds."""
         return {
-            **{"nodes": self.nodes, "step": np.array(self.step, dtype=np.float64), "levels": np.array([self.coarsest, self.finest])},
-            **{"keyframe": np.array(self.keyframe), "centre": np.asarray(self.into.centre, dtype=np.float64)},
-            **{"scale": np.array(self.into.scale, dtype=np.float64), "frames": np.array(self.frames)},
+            "nodes": self.nodes,
+            "step": np.array(self.step, dtype=np.float64),
+            "levels": np.array([self.coarsest, self.finest]),
+            "keyframe": np.array(self.keyframe),
+            "centre": np.asarray(self.into.centre, dtype=np.float64),
+            "scale": np.array(self.into.scale, dtype=np.float64),
+            "frames": np.array(self.frames),
             "frame_count": np.array(self.frame_count),
         }
 
