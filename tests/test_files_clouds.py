@@ -9,7 +9,7 @@ import pytest
 
 from warpdef.errors import InputError
 from warpdef.files import read_clouds, write_clouds_npz
-from warpdef.files.frame_files import natural_key
+from warpdef.files.frame_numbers import natural_key
 from warpdef.sequence import PointSequence
 
 N = 12

@@ -13,7 +13,7 @@ from warpdef.errors import ConfigError, InputError
 from warpdef.files import read_clouds
 from warpdef.files.config_file import config_from_mapping, config_to_toml, known_keys, load_config
 from warpdef.files.formats import CLOUD_SUFFIXES, read_surface
-from warpdef.files.frame_files import natural_key
+from warpdef.files.frame_numbers import natural_key
 from warpdef.files.lzf import lzf_decompress
 from warpdef.sequence import PointSequence, name_frames
 

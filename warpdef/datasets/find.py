@@ -14,7 +14,8 @@ from warpdef.datasets.sequences import TrueSequence
 from warpdef.errors import InputError, WarpdefError
 from warpdef.files.disk import must_exist
 from warpdef.files.formats import MESH_SUFFIXES, read_surface
-from warpdef.files.frame_files import frame_files, natural_key
+from warpdef.files.frame_files import frame_files
+from warpdef.files.frame_numbers import natural_key
 
 _RUN_FILES = ("sequence.npz", "config.toml", "report.json")
 

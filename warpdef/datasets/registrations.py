@@ -15,7 +15,8 @@ import numpy as np
 
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.files.disk import must_exist, reason
-from warpdef.files.frame_files import natural_key, select_frames
+from warpdef.files.frame_files import select_frames
+from warpdef.files.frame_numbers import natural_key
 from warpdef.mesh import MeshSequence, check_faces
 
 HDF5_SUFFIXES = (".hdf5", ".h5")

@@ -1,32 +1,19 @@
-"""Sequences of point clouds in and out.
-
-The .npz layouts, none of which needs pickle:
-
-- ``points`` (T, N, 3), optional ``normals`` (T, N, 3);
-- frames of unequal length: ``points_0000`` (N_0, 3), ``points_0001`` (N_1, 3), ..., each with an optional
-  ``normals_0000``, ...: ``np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})``.
-"""
+"""Sequences of point clouds in and out: folders of numbered files, and archives that hold all frames."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from warpdef.errors import InputError
+from warpdef.files.cloud_archives import CONTAINERS, NamedFrame
 from warpdef.files.disk import must_exist
-from warpdef.files.formats import CLOUD_SUFFIXES, read_surface
-from warpdef.files.frame_files import find_frames, natural_key, select_frames
-from warpdef.files.numpy_files import Npz, row, write_npz
+from warpdef.files.formats import ARCHIVE_SUFFIXES, CLOUD_SUFFIXES, read_surface
+from warpdef.files.frame_files import FrameSlot, find_frames, select_frames
+from warpdef.files.numpy_files import write_npz
 from warpdef.sequence import MIN_FRAMES, MIN_POINTS, Cloud, PointSequence
-
-_UNEQUAL = 'np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})'
-
-NamedFrame = tuple[str, Callable[[], Cloud]]
-"""What a frame is called, and a function that reads it."""
 
 
 def read_clouds(
@@ -53,74 +40,30 @@ def read_clouds(
     must_exist(path)
     if points and points < MIN_POINTS:
         raise InputError(f"--points: expected at least {MIN_POINTS}, got {points}")
+    suffix = path.suffix.lower()
     if path.is_dir():
-        found = find_frames(path, CLOUD_SUFFIXES)
-        files = select_frames(found.files, frames, MIN_FRAMES, path)
-        named, notes = [(file.name, partial(_read_file, file)) for file in files], found.notes
-    elif path.suffix.lower() in CONTAINERS:
-        named, notes = CONTAINERS[path.suffix.lower()](path, frames), []
-    elif path.suffix.lower() in CLOUD_SUFFIXES:
-        suffix = path.suffix.lower()
+        named, notes = _folder_frames(path, frames)
+    elif suffix in CONTAINERS:
+        named, notes = CONTAINERS[suffix](path, frames)
+    elif suffix in CLOUD_SUFFIXES:
         raise InputError(f"{path}: expected a sequence, got one file; give the folder of numbered {suffix} files")
     else:
-        known = " ".join(CLOUD_SUFFIXES)
         raise InputError(
-            f"{path}: unknown suffix '{path.suffix.lower()}'; expected an .npz, or a folder of numbered files ({known})"
+            f"{path}: unknown suffix '{suffix}'; expected an .npz, or a folder of numbered files "
+            f"({' '.join(CLOUD_SUFFIXES)})"
         )
     return PointSequence.from_frames(named, strict=strict, at_most=points, seed=seed, notes=notes)
 
 
-def _read_file(path: Path) -> Cloud:
-    surface = read_surface(path, CLOUD_SUFFIXES)
+def _folder_frames(path: Path, frames: slice | None) -> tuple[list[NamedFrame], list[str]]:
+    found = find_frames(path, CLOUD_SUFFIXES, ARCHIVE_SUFFIXES)
+    slots = select_frames(found.slots, frames, MIN_FRAMES, path)
+    return [(slot.name, partial(_read_slot, slot)) for slot in slots], found.notes
+
+
+def _read_slot(slot: FrameSlot) -> Cloud:
+    surface = read_surface(slot.file(), CLOUD_SUFFIXES + ARCHIVE_SUFFIXES)
     return surface.points, surface.normals
-
-
-def _npz_frames(path: Path, frames: slice | None) -> list[NamedFrame]:
-    npz = Npz(path)
-    file = npz.path.name
-    if "points" in npz:
-        points, normals, chosen = _npz_arrays(npz, frames)
-        return [
-            (f"points[{t}] of {file}", lambda t=t: (row(points, t), None if normals is None else row(normals, t)))
-            for t in chosen
-        ]
-    numbered = sorted((n for n in npz.names if re.fullmatch(r"points_[0-9]+", n)), key=natural_key)
-    if not numbered:
-        meshes = "; it holds meshes: sample them first with `warpdef sample`" if "vertices" in npz else ""
-        found = ", ".join(npz.names[:8]) or "no arrays"
-        raise InputError(f"{npz.path}: expected an array 'points' (T, N, 3), got {found:.200}{meshes}")
-
-    def read(name: str) -> Cloud:
-        normals = name.replace("points", "normals")
-        return npz.array(name), npz.array(normals) if normals in npz else None
-
-    chosen = select_frames(numbered, frames, MIN_FRAMES, npz.path)
-    return [(f"{name} of {file}", partial(read, name)) for name in chosen]
-
-
-CONTAINERS: dict[str, Callable[[Path, slice | None], list[NamedFrame]]] = {".npz": _npz_frames}
-"""Files that hold all frames of a sequence, by suffix: a function that gives name and reader of each frame chosen."""
-
-
-def _npz_arrays(npz: Npz, frames: slice | None) -> tuple[np.ndarray, np.ndarray | None, list[int]]:
-    """The arrays of all frames, (T, N, 3), and the frames chosen."""
-    shape, dtype = npz.header("points")
-    if dtype.hasobject:
-        raise InputError(
-            f"{npz.path}: points: expected numbers of shape (T, N, 3), got objects, which is not read: it "
-            f"could run code; save unequal frames with {_UNEQUAL}"
-        )
-    if len(shape) != 3 or shape[2] != 3:
-        raise InputError(
-            f"{npz.path}: points: expected shape (T, N, 3), got {shape}; save unequal frames with {_UNEQUAL}"
-        )
-    # Looked at before the frames are counted out: a damaged header may promise any number of them.
-    points = npz.array("points")
-    chosen = select_frames(range(len(points)), frames, MIN_FRAMES, npz.path)
-    normals = npz.array("normals") if "normals" in npz else None
-    if normals is not None and normals.shape != shape:
-        raise InputError(f"{npz.path}: normals: expected shape {shape} as the points have, got {normals.shape}")
-    return points, normals, chosen
 
 
 def write_clouds_npz(path: Path | str, sequence: PointSequence) -> None:

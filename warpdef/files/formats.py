@@ -22,10 +22,12 @@ class Format:
 
     reader:    ``module:function`` of this package, called with a path
     has_faces: it can hold a mesh, not points alone
+    archive:   it mostly holds all frames; in a folder it is a frame only where nothing else is
     """
 
     reader: str
     has_faces: bool = False
+    archive: bool = False
 
 
 FORMATS = {
@@ -37,10 +39,12 @@ FORMATS = {
     ".pcd": Format("pcd:read_pcd"),
     ".las": Format("las:read_las"),
     ".laz": Format("las:read_las"),
+    ".npz": Format("cloud_archives:read_npz_points", archive=True),
 }
 """Formats of one frame by suffix."""
 
-CLOUD_SUFFIXES = tuple(FORMATS)
+CLOUD_SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if not form.archive)
+ARCHIVE_SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.archive)
 MESH_SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.has_faces)
 
 

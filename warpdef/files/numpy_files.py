@@ -47,6 +47,25 @@ def read_npy(path: Path) -> np.ndarray:
     return _guarded(read, path)
 
 
+def npy_array(path: Path) -> np.ndarray:
+    """As ``read_npy``; a large array is mapped in place, and read-only.
+
+    Raises:
+        InputError: as ``read_npy``.
+    """
+    must_exist(path)
+    if not path.is_file() or path.stat().st_size < MAPPED_FROM:
+        return read_npy(path)
+
+    def read() -> np.ndarray:
+        with open(path, "rb") as stream:
+            shape, dtype, first_fastest = _checked_header(stream, path.stat().st_size, str(path))
+            order = "F" if first_fastest else "C"
+            return np.memmap(path, dtype=dtype, mode="r", offset=stream.tell(), shape=shape, order=order)
+
+    return _guarded(read, path)
+
+
 def read_npy_points(path: Path) -> Surface:
     """Positions (N, 3), or with normals (N, 6).
 

@@ -1,0 +1,80 @@
+"""Arrays as people save them: every layout gives the same clouds, or a sentence that says what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from warpdef.errors import InputError
+from warpdef.files import read_clouds
+
+POINTS = np.random.default_rng(0).normal(size=(4, 20, 3))
+NORMALS = POINTS / np.linalg.norm(POINTS, axis=2, keepdims=True)
+BOTH = np.concatenate([POINTS, NORMALS], axis=2)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "normals"),
+    [
+        ({"points": POINTS}, False),
+        ({"points": np.asfortranarray(POINTS)}, False),
+        ({"points": BOTH}, True),
+        ({"points": POINTS, "normals": NORMALS}, True),
+        ({"arr_0": POINTS}, False),
+        ({"xyz": BOTH, "fps": np.array(24)}, True),
+        ({f"arr_{t}": p for t, p in enumerate(POINTS)}, False),
+        ({f"frame{t}": p for t, p in enumerate(BOTH)}, True),
+        ({f"points_{t}": p for t, p in enumerate(BOTH)}, True),
+    ],
+)
+def test_layouts_of_an_npz(tmp_path, arrays, normals):
+    np.savez(tmp_path / "a.npz", **arrays)
+    assert_read(read_clouds(tmp_path / "a.npz"), normals)
+
+
+@pytest.mark.parametrize("rows", [POINTS, BOTH])
+def test_an_npy_of_all_frames(tmp_path, rows):
+    np.save(tmp_path / "a.npy", rows)
+    assert_read(read_clouds(tmp_path / "a.npy"), rows is BOTH)
+
+
+@pytest.mark.parametrize("name", ["points", "arr_0"])
+def test_an_npz_a_frame(tmp_path, name):
+    for t in range(4):
+        np.savez(tmp_path / f"{t:03d}.npz", **{name: POINTS[t], "normals": NORMALS[t]})
+    (tmp_path / "notes.txt").write_text("to be passed over")
+    assert_read(read_clouds(tmp_path), True)
+
+
+def assert_read(sequence, normals: bool) -> None:
+    np.testing.assert_array_equal(np.stack(sequence.points), POINTS)
+    if normals:
+        np.testing.assert_allclose(np.stack(sequence.normals), NORMALS, atol=1e-15)
+    else:
+        assert sequence.normals == (None,) * 4
+
+
+def test_another_name_is_told(tmp_path):
+    np.savez(tmp_path / "a.npz", POINTS)
+    assert read_clouds(tmp_path / "a.npz").warnings == ("the array 'arr_0' is taken for the points",)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (POINTS.transpose(0, 2, 1), r"got \(4, 3, 20\); transpose it: points.transpose\(0, 2, 1\)"),
+        (POINTS.transpose(2, 0, 1), r"got \(3, 4, 20\); transpose it: points.transpose\(1, 2, 0\)"),
+        (POINTS[0], r"expected shape \(T, N, 3\), got \(20, 3\)"),
+        (np.concatenate([POINTS, POINTS * 0 + 200], axis=2), "looks like colours"),
+    ],
+)
+def test_another_shape_says_what_to_do(tmp_path, points, message):
+    np.savez(tmp_path / "a.npz", points=points)
+    with pytest.raises(InputError, match=message):
+        read_clouds(tmp_path / "a.npz")
+
+
+def test_two_arrays_that_could_be_meant_are_not_guessed(tmp_path):
+    np.savez(tmp_path / "a.npz", left=POINTS, right=POINTS)
+    with pytest.raises(InputError, match="expected an array 'points' .*got left, right"):
+        read_clouds(tmp_path / "a.npz")
