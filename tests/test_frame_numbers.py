@@ -26,7 +26,7 @@ def save(folder: Path, *names: str) -> Path:
         (["f0", "f1", "f2", "f4"], {3: 1}),
         (["0", "1", "3"], {2: 1}),
         (["f000", "f010", "f020", "f050", "f060"], {3: 2}),
-        (["f1", "f2", "f3", "f9", "f10"], {3: 5}),
+        (["f1", "f2", "f3", "f6", "f7"], {3: 2}),
         (["f2", "f10", "f100"], {}),  # uneven: a choice of frames
         (["f1", "f2", "f3", "f5", "f8"], {}),
         (["f0", "f1", "f2", "f500", "f501", "f502"], {}),  # two takes: too long to be filled
@@ -60,6 +60,11 @@ def test_a_gap_in_the_numbers(names, missing):
 def test_names_sort_as_time(names):
     shuffled = [*names[1::2], *names[0::2][::-1]]
     assert [shuffled[i] for i in read_names(shuffled).order] == names
+
+
+def test_uneven_numbers_are_told():
+    (note,) = read_names(["f0", "f1", "f2", "f500", "f501", "f502"]).notes
+    assert note.startswith("the numbers in the file names are uneven, from 2 to 500 at once")
 
 
 def test_times_past_midnight_are_told():

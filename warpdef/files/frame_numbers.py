@@ -26,7 +26,7 @@ _MONTH = re.compile(
 )
 _HALF_DAY = re.compile(r"(?<=[0-9])[ _.-]?([ap])\.?m\.?(?![a-z0-9])")
 _UNEVEN = 0.2  # of the usual step
-_MISSING_MOST = 1.0  # frames missing for one that is there, beyond which a jump is no gap
+_MISSING_MOST = 0.5  # frames missing for one that is there, beyond which a jump is no gap
 _DAY = 86400.0
 
 
@@ -75,7 +75,8 @@ def read_names(stems: Sequence[str], where: str = "") -> Numbering:
     if time is not None:
         rest = [tuple(table[i, leading:]) for i in range(len(stems))]
         order = sorted(range(len(stems)), key=lambda i: (time[i], rest[i], natural_key(stems[i])))
-        return Numbering(order, _missing([time[i] for i in order]), None, notes)
+        missing, uneven = _missing([time[i] for i in order])
+        return Numbering(order, missing, None, notes + uneven)
     moving = [c for c in range(table.shape[1]) if len(set(table[:, c])) > 1]
     if not moving:
         if len(stems) > 1:
@@ -83,7 +84,8 @@ def read_names(stems: Sequence[str], where: str = "") -> Numbering:
         return Numbering(natural)
     if moving[-1] == table.shape[1] - 1 and moving[0] >= table.shape[1] - 2 and _are_decimals(stems, rows):
         order = sorted(range(len(stems)), key=lambda i: (int(rows[i][-2]), float(f"0.{rows[i][-1]}")))
-        return Numbering(order, _missing([float(f"{rows[i][-2]}.{rows[i][-1]}") for i in order]))
+        missing, uneven = _missing([float(f"{rows[i][-2]}.{rows[i][-1]}") for i in order])
+        return Numbering(order, missing, None, uneven)
     if len(moving) == 1:
         values = table[:, moving[0]]
         order = sorted(range(len(stems)), key=lambda i: values[i])
@@ -92,7 +94,8 @@ def read_names(stems: Sequence[str], where: str = "") -> Numbering:
         if twice is not None:
             pair = f"'{stems[order[twice - 1]]}' and '{stems[order[twice]]}'"
             raise InputError(f"{where}: two files have the number {numbers[twice]}: {pair}; keep one of them")
-        return Numbering(order, _missing(numbers), numbers)
+        missing, uneven = _missing(numbers)
+        return Numbering(order, missing, numbers, uneven)
     _refuse_two_series(stems, table, moving, where)
     return Numbering(natural)
 
@@ -145,17 +148,22 @@ def _are_decimals(stems: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
     return uneven and (any(row[-1].startswith("0") for row in rows) or all(len(row[-2]) >= 9 for row in rows))
 
 
-def _missing(values: Sequence[float]) -> dict[int, int]:
-    """Frames missing before each place of ascending values; none where their steps are not regular."""
+def _missing(values: Sequence[float]) -> tuple[dict[int, int], tuple[str, ...]]:
+    """Frames missing before each place of ascending values, and a note where their steps are not regular."""
     steps = np.diff(np.asarray(values, dtype=np.float64))
     if len(steps) < 2 or not (steps > 0).all():
-        return {}
+        return {}, ()
     usual = float(np.sort(steps)[(len(steps) - 1) // 2])
     times = steps / usual
-    if (np.abs(times - np.rint(times)) > _UNEVEN).any() or (np.rint(times) == 1).mean() < 0.5:
-        return {}
     missing = {i + 1: int(np.rint(t)) - 1 for i, t in enumerate(times) if np.rint(t) > 1}
-    return missing if sum(missing.values()) <= _MISSING_MOST * len(values) else {}
+    regular = (np.abs(times - np.rint(times)) <= _UNEVEN).all() and (np.rint(times) == 1).mean() >= 0.5
+    if regular and sum(missing.values()) <= _MISSING_MOST * len(values):
+        return missing, ()
+    widest = int(steps.argmax())
+    jump = f"from {values[widest]:.12g} to {values[widest + 1]:.12g} at once"
+    return {}, (
+        f"the numbers in the file names are uneven, {jump}: frames are taken one after the other, without gaps",
+    )
 
 
 def _times(
