@@ -20,6 +20,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "frames": (["3", "a:b", "1:2:0", "1:2:3:4", "1.5:2"], ["", ":", "10:27", "::2", "-5:", "27:10:-1"]),
     "points": ([-1, 1, 9], [0, 10, 5000]),
     "drop_strays": FREE,
+    "drop_odd_frames": FREE,
     "fill": ([0, -0.5, 1.01], [0.5, 1]),
     "seed": ([-1], [0, 2**40]),
     "keyframe.choice": (["last", "", "-1", "1.5"], ["auto", "first", "middle", "0", "12"]),

@@ -294,6 +294,8 @@ class Config:
     """Points a frame, drawn without replacement; 0: all."""
     drop_strays: bool = True
     """Leave out points that belong to no surface: single ones and loose clusters far from it; clean clouds keep all."""
+    drop_odd_frames: bool = True
+    """Leave out frames that are unlike their neighbours while those are alike; their meshes are interpolated."""
     fill: float = 0.95
     """Half the side of the cube that the sequence's bounding box fills."""
     seed: int = 0

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpdef.cleaning.far_points import drop_far
+from warpdef.cleaning.odd_frames import leave_out_odd
 from warpdef.cleaning.strays import drop_strays
 from warpdef.config import Config, parse_slice
 from warpdef.device import find_device
@@ -105,4 +106,6 @@ def clean(sequence: PointSequence, config: Config) -> PointSequence:
     """The points that the method uses: far ones and strays left out, then at most ``config.points`` of the rest."""
     if config.drop_strays:
         sequence = drop_strays(drop_far(sequence))
+    if config.drop_odd_frames:
+        sequence = leave_out_odd(sequence)
     return sequence.subsample(config.points, config.seed) if config.points else sequence

@@ -24,6 +24,7 @@ def preset(name: str) -> Config:
     return replace(
         base,
         drop_strays=False,
+        drop_odd_frames=False,
         grid=replace(base.grid, prune=True),
         sobolev=replace(base.sobolev, solver="cg"),
         loss=replace(base.loss, tangential=1.0),

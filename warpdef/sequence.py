@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -210,13 +210,28 @@ class PointSequence:
                 "widen the range"
             )
         gaps = {gap.number: gap for gap in self.gaps}
+        kept = tuple(replace(gaps[old], number=new) for new, old in enumerate(order) if old in gaps)
+        return replace(self._chosen(chosen), gaps=kept)
+
+    def without(self, reasons: Mapping[int, str]) -> PointSequence:
+        """The sequence with further gaps: why by frame number, one sentence each.
+
+        Raises:
+            InputError: fewer than 2 frames are left.
+        """
+        left = [t for t, number in enumerate(self.numbers) if number not in reasons]
+        if len(left) < MIN_FRAMES:
+            raise InputError(f"the sequence: expected at least {MIN_FRAMES} usable frames, got {len(left)}")
+        names = self.frame_names
+        gaps = [*self.gaps, *(Gap(number, names[number], why) for number, why in reasons.items())]
+        return replace(self._chosen(left), gaps=tuple(sorted(gaps, key=lambda gap: gap.number)))
+
+    def _chosen(self, frames: Sequence[int]) -> PointSequence:
+        """The clouds at these places, with the gaps as they are."""
+        columns = ("points", "normals", "names", "merged", "dropped", "disowned")
         return replace(
             self,
-            gaps=tuple(replace(gaps[old], number=new) for new, old in enumerate(order) if old in gaps),
-            **{
-                name: tuple(values[t] for t in chosen) if (values := getattr(self, name)) else ()
-                for name in ("points", "normals", "names", "merged", "dropped", "disowned")
-            },
+            **{name: tuple(values[t] for t in frames) if (values := getattr(self, name)) else () for name in columns},
         )
 
     def subsample(self, count: int, seed: int) -> PointSequence:
