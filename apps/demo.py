@@ -14,10 +14,11 @@ from cyclopts.validators import Number
 from warpdef.apps.config_flags import resolve_config
 from warpdef.apps.console import ProgressDisplay, clean_stdout, print_json, say
 from warpdef.apps.evaluate import evaluate_run
-from warpdef.apps.exit_codes import EXIT_INTERRUPTED, EXIT_OK
+from warpdef.apps.exit_codes import EXIT_OK
 from warpdef.apps.metric_tables import print_means
 from warpdef.apps.reconstruct import RunOptions, finish, run_to_folder
 from warpdef.apps.run_summary import print_summary
+from warpdef.apps.signals import exit_code
 
 if TYPE_CHECKING:
     from warpdef.mesh import MeshSequence
@@ -71,9 +72,9 @@ def demo(
         return code
     try:
         metrics = evaluate_run(load_run(run.path), truth)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as ended:
         say(f"warpdef: interrupted while evaluating: the result is in {run.path}")
-        return EXIT_INTERRUPTED
+        return exit_code(ended)
     if json:
         print_json({"report": run.result.report, "metrics": metrics})
     else:
