@@ -19,6 +19,7 @@ from warpdef.apps.metric_tables import print_means
 from warpdef.apps.reconstruct import RunOptions, finish, run_to_folder
 from warpdef.apps.run_summary import print_summary
 from warpdef.apps.signals import exit_code
+from warpdef.progress import held_interrupts
 
 if TYPE_CHECKING:
     from warpdef.mesh import MeshSequence
@@ -64,10 +65,11 @@ def demo(
     if overwrite:
         remove_own_input(output, truth, clouds)
     run = run_to_folder(clouds, output, config, RunOptions(device, threads, overwrite))
-    write_input(run.path, truth, clouds)
-    if not json:
-        print_summary(run.result, run.path)
-    code = finish(run)
+    with held_interrupts():  # as for ``reconstruct``
+        write_input(run.path, truth, clouds)
+        if not json:
+            print_summary(run.result, run.path)
+        code = finish(run)
     if code != EXIT_OK:
         return code
     try:

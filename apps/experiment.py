@@ -13,6 +13,7 @@ from cyclopts.validators import Number
 from warpdef.apps.config_flags import ConfigFlags, resolve_config
 from warpdef.apps.console import clean_stdout, print_json, say
 from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_OK
+from warpdef.apps.signals import exit_code
 from warpdef.errors import InputError
 
 if TYPE_CHECKING:

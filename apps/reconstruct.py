@@ -14,10 +14,12 @@ from cyclopts.validators import Number
 
 from warpdef.apps.config_flags import ConfigFlags, resolve_config
 from warpdef.apps.console import ProgressDisplay, Stopwatch, clean_stdout, print_json, say
-from warpdef.apps.exit_codes import EXIT_INTERRUPTED, EXIT_OK
+from warpdef.apps.exit_codes import EXIT_OK
 from warpdef.apps.run_summary import print_summary
+from warpdef.apps.signals import exit_code, interruption
 from warpdef.config import Config, parse_slice
 from warpdef.errors import InputError, WarpdefError
+from warpdef.progress import held_interrupts
 
 if TYPE_CHECKING:
     from warpdef.appearance import Appearance
@@ -83,11 +85,12 @@ def reconstruct(
         if preset != "default" or config is not None or flags is not None:
             raise InputError("--resume goes on with the configuration of that run; leave out all flags that change it")
         run = resume_to_folder(resume, input, output, how)
-    if json:
-        print_json(run.result.report)
-    else:
-        print_summary(run.result, run.path)
-    return finish(run)
+    with held_interrupts():  # the result is whole: what ends the program now must not say that nothing was written
+        if json:
+            print_json(run.result.report)
+        else:
+            print_summary(run.result, run.path)
+        return finish(run)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -208,17 +211,18 @@ def run_to_folder(
                 result.report["seconds"] = {"load": loading, **inner, "write": watch.lap(), "total": total.lap()}
                 return result.report
 
-            path = folder.save(
-                vertices=result.vertices,
-                faces=result.faces,
-                keyframe=result.keyframe,
-                config=dataclasses.replace(result.config, frames=config.frames),
-                report=report,
-                steps=result.steps,
-                names=sequence.frame_names,
-                motion=result.motion,
-                appearance=result.appearance if saved is None else _look_of_template(result),
-            )
+            with held_interrupts():  # a result that is there is written
+                path = folder.save(
+                    vertices=result.vertices,
+                    faces=result.faces,
+                    keyframe=result.keyframe,
+                    config=dataclasses.replace(result.config, frames=config.frames),
+                    report=report,
+                    steps=result.steps,
+                    names=sequence.frame_names,
+                    motion=result.motion,
+                    appearance=result.appearance if saved is None else _look_of_template(result),
+                )
         except BaseException:
             if folder.checkpoint.exists():
                 say(f"warpdef: the last checkpoint is kept; go on with: warpdef reconstruct --resume {output}")
@@ -272,7 +276,9 @@ def finish(run: FinishedRun) -> int:
     report = run.result.report
     if not report.get("stopped") and not report["interrupted"]:
         return EXIT_OK
-    why = "interrupted" if report["interrupted"] else f"stopped ({report['stopped']})"
+    signal = report.get("signal") or "SIGINT"
+    by = "" if signal == "SIGINT" else f" by {signal}"
+    why = f"interrupted{by}" if report["interrupted"] else f"stopped ({report['stopped']})"
     more = f"; go on with: warpdef reconstruct --resume {run.path}" if run.resumable else ""
     say(f"warpdef: {why} after {report['iterations']} iterations: the best state is in {run.path}{more}")
-    return EXIT_INTERRUPTED if report["interrupted"] else EXIT_OK
+    return exit_code(interruption(report)) if report["interrupted"] else EXIT_OK

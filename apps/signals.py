@@ -1,4 +1,4 @@
-"""Signals by which batch systems and closing terminals end a process: they act like Ctrl-C, with their own exit codes."""
+"""Signals by which batch systems and closing terminals end a process: they act like Ctrl-C."""
 
 from __future__ import annotations
 
@@ -42,10 +42,8 @@ def ending_signals() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def exit_code(ended: BaseException | str) -> int:
-    """128 and the number of the signal: of a ``KeyboardInterrupt``, or of a signal's name."""
-    if isinstance(ended, str):
-        return 128 + signal.Signals[ended]
+def exit_code(ended: KeyboardInterrupt) -> int:
+    """128 and the number of the signal: 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP."""
     return 128 + getattr(ended, "number", signal.SIGINT)
 
 
