@@ -1,4 +1,4 @@
-"""``warpdef evaluate``: a run folder against the truth."""
+"""``warpdef evaluate``: a run folder against the truth, or against the clouds that it was made from."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from cyclopts.validators import Number
 from warpdef.apps.console import ProgressDisplay, clean_stdout, print_json
 from warpdef.apps.exit_codes import EXIT_OK
 from warpdef.apps.metric_tables import print_frames, print_means
+from warpdef.apps.quality_tables import print_quality
 from warpdef.config import parse_slice
+from warpdef.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,39 +27,67 @@ SAMPLES = 100_000
 
 def evaluate(
     output: Path,
-    truth: Path,
+    truth: Path | None = None,
     /,
     *,
+    clouds: Path | None = None,
     frames: Annotated[str, Parameter(allow_leading_hyphen=True)] = "",
     samples: Annotated[int, Parameter(validator=Number(gte=1))] = SAMPLES,
     seed: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
     per_frame: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Compare a result with the true mesh sequence.
+    """Compare a result with the true mesh sequence; without one, with its own clouds: what fits, and what is lost.
 
     Args:
         output: Folder of a reconstruction; the measures are put into it as metrics.json.
         truth: An npz with vertices (T, V, 3) and faces, a folder of meshes, or any other that warpdef datasets finds.
+            Without it every frame is held against its cloud and judged: good, doubtful or lost.
+        clouds: Without a truth, the clouds to judge by; those of the run if not given, which must be what they were.
         frames: The truth's frames that the result was made from, start:stop:step; empty: all.
         samples: Samples on each surface.
         seed: Seed of the samples.
         per_frame: Show every frame, not only the mean.
-        json: Print metrics.json on standard output, and nothing else there.
+        json: Print the measures as JSON on standard output, and nothing else there.
     """
     from warpdef.datasets.truth import read_truth
     from warpdef.files.saved_run import load_run
 
-    chosen = parse_slice(frames)
     run = load_run(output)
+    if truth is None:
+        assessed = assess_run(run, clouds)
+        if json:
+            print_json(assessed)
+        else:
+            print_quality(assessed, f"{output} against its clouds")
+        return EXIT_OK
+    if clouds is not None:
+        raise InputError("--clouds: expected no truth beside it, got both; with a truth the clouds are not asked")
+    chosen = parse_slice(frames)
     metrics = evaluate_run(run, read_truth(truth, chosen), samples=samples, seed=seed)
     if json:
         print_json(metrics)
     else:
         if per_frame:
             print_frames(metrics)
-        print_means(metrics, f"{output} against {truth}")
+        print_means(metrics, f"{output} against {truth}", run.keyframe)
     return EXIT_OK
+
+
+def assess_run(run: Run, clouds: Path | None = None) -> dict[str, Any]:
+    """Judge every frame of a run by its clouds; see ``quality.assess.Assessment.as_dict``.
+
+    Raises:
+        InputError: the clouds are gone, changed, or of another number of frames.
+    """
+    from warpdef.quality.assess import assess
+    from warpdef.run_clouds import clouds_of
+
+    with clean_stdout(), ProgressDisplay() as display:
+        display.start("load")
+        sequence = clouds_of(run, clouds)
+        display.start("assess", len(run.meshes), "frames")
+        return assess(sequence.all_frames(), run.vertices, run.faces, run.keyframe).as_dict()
 
 
 def evaluate_run(

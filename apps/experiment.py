@@ -12,8 +12,7 @@ from cyclopts.validators import Number
 
 from warpdef.apps.config_flags import ConfigFlags, resolve_config
 from warpdef.apps.console import clean_stdout, print_json, say
-from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_OK
-from warpdef.apps.signals import exit_code
+from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_INTERRUPTED, EXIT_OK
 from warpdef.errors import InputError
 
 if TYPE_CHECKING:
@@ -111,9 +110,9 @@ def experiment(
                 say=say,
                 after_each=lambda outcome: write_report(table, outcome, output, command),
             )
-        except KeyboardInterrupt as ended:
+        except KeyboardInterrupt:
             say(f"warpdef: interrupted: finished runs are kept in {output}; the same command goes on from there")
-            return exit_code(ended)
+            return EXIT_INTERRUPTED
         rows = write_report(table, outcome, output, command)
         if plot and rows:
             draw(table, rows, output / f"{name}.png")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,18 +36,33 @@ MEASURES = (
     Measure("point_to_surface", "point to surface, 1e-3", "P2S", 1e3, 3, "lower"),
     Measure("edge_distortion", "edge-length distortion", "edges", 1.0, 4, "lower"),
     Measure("tracking", "tracking", "track", 1.0, 4, "lower"),
+    Measure("flicker", "flicker, degrees", "flick", 1.0, 2, "lower"),
+    Measure("flicker_truth", "  the truth's own", "true", 1.0, 2, ""),
+    Measure("acceleration", "acceleration, 1e-3 a frame squared", "accel", 1e3, 2, ""),
+    Measure("acceleration_truth", "  the truth's own", "true", 1e3, 2, ""),
 )
 
 
-def print_means(metrics: Mapping[str, Any], title: str) -> None:
-    """One line a measure, mean over the frames."""
+def print_means(metrics: Mapping[str, Any], title: str, keyframe: int | None = None) -> None:
+    """One line a measure, mean over the frames; with the keyframe one more, that shows whether tracking drifts."""
     table = Table(title=title, title_justify="left")
     table.add_column("measure")
     table.add_column(f"mean of {len(metrics['frames'])} frames", justify="right")
     table.add_column("better is")
     for measure in MEASURES:
         table.add_row(measure.title, measure.show(metrics["mean"][measure.key]), measure.better)
+        if measure.key == "tracking" and keyframe is not None and metrics["mean"]["tracking"] is not None:
+            near, far = map(measure.show, tracking_drift(metrics["frames"], keyframe))
+            table.add_row("  quarter of the frames nearest to the keyframe", near, "")
+            table.add_row("  quarter farthest from it", far, "")
     print_table(table)
+
+
+def tracking_drift(frames: Sequence[Mapping[str, Any]], keyframe: int) -> tuple[float, float]:
+    """Mean tracking of the quarter of the frames nearest to the keyframe, itself left out, and of the farthest."""
+    others = [f["tracking"] for f in sorted(frames, key=lambda f: abs(f["frame"] - keyframe)) if f["frame"] != keyframe]
+    count = max(len(others) // 4, 1)
+    return sum(others[:count]) / count, sum(others[-count:]) / count
 
 
 def print_frames(metrics: Mapping[str, Any]) -> None:

@@ -14,12 +14,11 @@ from cyclopts.validators import Number
 
 from warpdef.apps.config_flags import ConfigFlags, resolve_config
 from warpdef.apps.console import ProgressDisplay, Stopwatch, clean_stdout, print_json, say
-from warpdef.apps.exit_codes import EXIT_OK
+from warpdef.apps.exit_codes import EXIT_INTERRUPTED, EXIT_LOST, EXIT_OK
 from warpdef.apps.run_summary import print_summary
-from warpdef.apps.signals import exit_code, interruption
 from warpdef.config import Config, parse_slice
 from warpdef.errors import InputError, WarpdefError
-from warpdef.progress import held_interrupts
+from warpdef.quality.verdict import LOST
 
 if TYPE_CHECKING:
     from warpdef.appearance import Appearance
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
     from warpdef.progress import Callback, Progress
     from warpdef.result import Reconstruction
     from warpdef.sequence import PointSequence
-
-_READ_FACTOR = 20  # points of a frame kept while reading, times those that the method is to use
 
 CHECKPOINT_SECONDS = 60.0
 
@@ -69,7 +66,7 @@ def reconstruct(
         live: Show the mesh in a window while it is optimised; closing it does not end the run.
         overwrite: Replace an older result at OUTPUT, or begin an unfinished run anew.
         strict: Refuse input with a frame that cannot be used (empty, damaged); else its mesh is interpolated, with a
-            warning.
+            warning. And end with exit code 3 if the mesh is lost in a frame; the result is written all the same.
         max_seconds: Time limit: end with the best state so far. Writing the result comes on top.
         checkpoint_seconds: Least time between two checkpoints, kept beside OUTPUT until the result is written.
         memory_limit: GiB that the run may be estimated to need, else it is refused; what is free if not given;
@@ -85,12 +82,11 @@ def reconstruct(
         if preset != "default" or config is not None or flags is not None:
             raise InputError("--resume goes on with the configuration of that run; leave out all flags that change it")
         run = resume_to_folder(resume, input, output, how)
-    with held_interrupts():  # the result is whole: what ends the program now must not say that nothing was written
-        if json:
-            print_json(run.result.report)
-        else:
-            print_summary(run.result, run.path)
-        return finish(run)
+    if json:
+        print_json(run.result.report)
+    else:
+        print_summary(run.result, run.path)
+    return finish(run, strict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,21 +156,19 @@ def run_to_folder(
     Raises:
         WarpdefError: input, configuration, device or output place is not usable; then nothing is written.
     """
-    from warpdef.files import read_clouds, read_mesh
+    from warpdef.files import read_mesh
     from warpdef.files.run_folder import RunFolder
+    from warpdef.prepare import Safeguards, read_input
 
     total, watch = Stopwatch(), Stopwatch()
     same_place = saved is not None and RunFolder(Path(os.path.realpath(output)), True).checkpoint == saved.path
     folder = RunFolder.prepare(output, how.overwrite, resume=same_place)
     with clean_stdout(), ProgressDisplay() as display, contextlib.ExitStack() as shown:
-        frames = parse_slice(config.frames)
         display.start("load")
         if isinstance(source, Path):
-            # Of a frame far larger than asked for only a part is held; the method draws from it.
-            kept = _READ_FACTOR * config.points
-            sequence = read_clouds(source, frames, strict=how.strict, points=kept, seed=config.seed)
+            sequence = read_input(source, config, how.strict)
         else:
-            sequence = source.select(frames)
+            sequence = source.select(parse_slice(config.frames))
         # A run that goes on has its template's shape in the checkpoint.
         template = read_mesh(config.template.mesh) if config.template.mesh and saved is None else None
         loading = watch.lap()
@@ -182,7 +176,6 @@ def run_to_folder(
         tell = shown.enter_context(_shown_live(sequence, display, output)) if how.live else display
 
         from warpdef.pipeline import reconstruct as reconstruct_sequence
-        from warpdef.prepare import Safeguards
 
         where = str(source.resolve()) if isinstance(source, Path) else ""
         try:
@@ -211,18 +204,18 @@ def run_to_folder(
                 result.report["seconds"] = {"load": loading, **inner, "write": watch.lap(), "total": total.lap()}
                 return result.report
 
-            with held_interrupts():  # a result that is there is written
-                path = folder.save(
-                    vertices=result.vertices,
-                    faces=result.faces,
-                    keyframe=result.keyframe,
-                    config=dataclasses.replace(result.config, frames=config.frames),
-                    report=report,
-                    steps=result.steps,
-                    names=sequence.frame_names,
-                    motion=result.motion,
-                    appearance=result.appearance if saved is None else _look_of_template(result),
-                )
+            path = folder.save(
+                vertices=result.vertices,
+                faces=result.faces,
+                keyframe=result.keyframe,
+                config=dataclasses.replace(result.config, frames=config.frames),
+                report=report,
+                steps=result.steps,
+                names=sequence.frame_names,
+                motion=result.motion,
+                appearance=result.appearance if saved is None else _look_of_template(result),
+                confidence=result.confidence,
+            )
         except BaseException:
             if folder.checkpoint.exists():
                 say(f"warpdef: the last checkpoint is kept; go on with: warpdef reconstruct --resume {output}")
@@ -271,14 +264,13 @@ def _shown_live(sequence: PointSequence, display: ProgressDisplay, output: Path)
         yield tell
 
 
-def finish(run: FinishedRun) -> int:
-    """The exit code of a finished run; one that ended early says so on standard error."""
+def finish(run: FinishedRun, strict: bool = False) -> int:
+    """The exit code of a finished run; one that ended early says so on standard error. ``strict``: no frame is lost."""
     report = run.result.report
+    code = EXIT_LOST if strict and LOST in report.get("verdicts", ()) else EXIT_OK
     if not report.get("stopped") and not report["interrupted"]:
-        return EXIT_OK
-    signal = report.get("signal") or "SIGINT"
-    by = "" if signal == "SIGINT" else f" by {signal}"
-    why = f"interrupted{by}" if report["interrupted"] else f"stopped ({report['stopped']})"
+        return code
+    why = "interrupted" if report["interrupted"] else f"stopped ({report['stopped']})"
     more = f"; go on with: warpdef reconstruct --resume {run.path}" if run.resumable else ""
     say(f"warpdef: {why} after {report['iterations']} iterations: the best state is in {run.path}{more}")
-    return exit_code(interruption(report)) if report["interrupted"] else EXIT_OK
+    return EXIT_INTERRUPTED if report["interrupted"] else code

@@ -7,14 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from warpdef.apps.console import key_value_table, print_table
+from warpdef.quality.verdict import summary
 
 if TYPE_CHECKING:
     from warpdef.result import Reconstruction
 
 
 def print_summary(result: Reconstruction, path: Path) -> None:
-    """What was made, how long each phase took, what to be wary of, and where it lies; on standard output."""
+    """What was made, how long each phase took, what to be wary of, where it lies, and a verdict; on standard output."""
     print_table(key_value_table("Reconstruction", summary_rows(result, path)))
+    if "verdicts" in result.report:
+        print(summary(result.report["verdicts"]))
 
 
 def summary_rows(result: Reconstruction, path: Path) -> dict[str, str]:

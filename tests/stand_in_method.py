@@ -17,11 +17,14 @@ from warpdef.result import Reconstruction
 
 @dataclass
 class StandInMethod:
-    """Stands in for ``warpdef.pipeline``; keeps the arguments of its calls, raises ``error`` if there is one."""
+    """Stands in for ``warpdef.pipeline``; keeps the arguments of its calls, raises ``error`` if there is one.
+
+    ``more`` goes into the reports."""
 
     calls: list[dict[str, Any]] = field(default_factory=list)
     error: BaseException | None = None
     interrupted: bool = False
+    more: dict[str, Any] = field(default_factory=dict)
 
     def reconstruct(self, sequence, config: Config, *, callback=None, **others):
         self.calls.append({"sequence": sequence, "config": config, **others})
@@ -40,6 +43,7 @@ class StandInMethod:
             "seconds": {"optimise": 0.5},
             "losses": {"mesh": 0.25},
             "warnings": ["frame 0 has no closed surface"],
+            **self.more,
         }
         first = sequence.points[0][:4]
         vertices = np.stack([first + t for t in range(sequence.frame_count)]).astype(np.float32)

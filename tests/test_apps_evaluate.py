@@ -15,8 +15,10 @@ from warpdef.apps.evaluate import evaluate_run
 from warpdef.apps.main import run
 from warpdef.config import Config
 from warpdef.files import read_clouds
+from warpdef.files.checkpoint import digests
 from warpdef.files.run_folder import RunFolder
 from warpdef.files.saved_run import load_run
+from warpdef.geometry.sampling import sample_surface
 from warpdef.mesh import MeshSequence
 from warpdef.truth.metrics import METRICS
 
@@ -75,6 +77,54 @@ def test_measures_as_tables(case: Case, capfd) -> None:
     assert f"{mean['normal_consistency']:.4f}" in brief
     assert run([*arguments, "--per-frame"]) == 0
     assert len(capfd.readouterr().out.splitlines()) > len(brief.splitlines()) + 3
+
+
+@pytest.fixture
+def without_truth(case: Case, rng: np.random.Generator) -> Path:
+    """Clouds of the case's three frames, of which the last is elsewhere, known to the run."""
+    meshes = load_run(case.output).meshes
+    clouds = [sample_surface(v, meshes.faces, 800, rng)[0] for v in meshes.vertices]
+    clouds[2] += 3.0
+    path = case.output.parent / "clouds.npz"
+    np.savez(path, points=np.stack(clouds))
+    report = {"input": {"path": str(path), "digests": digests(read_clouds(path).points, [None] * 3)}}
+    (case.output / "report.json").write_text(json.dumps(report))
+    return path
+
+
+def test_without_a_truth_frames_are_judged(case: Case, without_truth: Path, capfd) -> None:
+    assert run(["evaluate", str(case.output)]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert lines[-1] == "2 good, 1 lost (2)"
+    assert lines[-2].startswith("frame 2 is lost: ") and "points" in lines[-2]
+    assert run(["evaluate", str(case.output), "--json"]) == 0
+    shown = json.loads(capfd.readouterr().out)
+    assert shown["verdicts"] == ["good", "good", "lost"] and shown["quality"][0]["residual_mean_percent"] < 1e-3
+    assert not (case.output / "metrics.json").exists()
+
+
+def test_other_clouds_than_the_runs_are_refused_by_frame(case: Case, without_truth: Path, capfd) -> None:
+    points = np.load(without_truth)["points"]
+    points[1, 5] += 1e-3
+    np.savez(without_truth, points=points)
+    assert run(["evaluate", str(case.output)]) == 2
+    told = capfd.readouterr().err
+    assert "1 of 3 frames: 1 (" in told and "--clouds" in told
+    assert run(["evaluate", str(case.output), "--clouds", str(without_truth)]) == 0  # as told
+    np.savez(without_truth, points=points[:2])
+    for arguments in ([], ["--clouds", str(without_truth)]):
+        assert run(["evaluate", str(case.output), *arguments]) == 2
+        assert "expected 3 frames" in capfd.readouterr().err
+    without_truth.unlink()
+    assert run(["evaluate", str(case.output)]) == 2
+    assert "no longer there" in capfd.readouterr().err
+
+
+def test_a_run_that_does_not_know_its_clouds(case: Case, capfd) -> None:
+    assert run(["evaluate", str(case.output)]) == 2
+    assert "--clouds" in capfd.readouterr().err
+    assert run(["evaluate", str(case.output), str(case.truth), "--clouds", str(case.truth)]) == 2
+    assert "--clouds: expected no truth" in capfd.readouterr().err
 
 
 def test_other_frames_than_the_result(case: Case, capfd) -> None:

@@ -49,6 +49,16 @@ def test_a_run_folder_and_a_summary(method, clouds: Path, tmp_path: Path, capfd:
     assert not (set(output.parent.iterdir()) - {output, clouds})
 
 
+@pytest.mark.parametrize(("worst", "strict", "code"), [("good", True, 0), ("lost", False, 0), ("lost", True, 3)])
+def test_the_verdict_comes_last(method, clouds: Path, tmp_path: Path, capfd, worst, strict, code: int) -> None:
+    method.more = {"verdicts": ["good"] * 4 + ["doubtful", worst]}
+    arguments = ["reconstruct", str(clouds), "-o", str(tmp_path / "out"), *["--strict"] * strict]
+    assert run(arguments) == code
+    shown = capfd.readouterr().out.splitlines()
+    assert shown[-1] == {"good": "5 good, 1 doubtful (4)", "lost": "4 good, 1 doubtful (4), 1 lost (5)"}[worst]
+    assert load_run(tmp_path / "out").report["verdicts"][-1] == worst  # written all the same
+
+
 def test_json_leaves_nothing_else_on_standard_output(method, clouds: Path, tmp_path: Path, capfd) -> None:
     assert run(["reconstruct", str(clouds), "-o", str(tmp_path / "out"), "--json"]) == 0
     shown = json.loads(capfd.readouterr().out)

@@ -28,12 +28,12 @@ FLOORS_INSIDE = (
     ("cloud", "config", "device", "geometry", "texture", "transitions"),
     ("appearance", "memory", "presets", "sequence"),
     ("cleaning", "mesh"),
-    ("motion", "progress", "template", "vertex_measures"),
+    ("motion", "progress", "quality", "template", "vertex_measures"),
     ("result",),
     ("files",),
     ("datasets", "export", "fit", "truth"),
     ("prepare",),
-    ("pipeline",),
+    ("pipeline", "run_clouds"),
 )
 """Rooms of warpdef/, a file or a folder each, from the ground up. A room imports from floors below its own only."""
 

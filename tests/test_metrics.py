@@ -167,7 +167,7 @@ def test_seeds_repeat() -> None:
 
 
 def test_the_scale_and_place_of_the_input_do_not_matter() -> None:
-    truth = turning_sphere(2)
+    truth = turning_sphere(3)
     worse = Result(truth.vertices * 1.01, truth.faces)
     small = evaluate(worse, truth, 2_000)["mean"]
     large = evaluate(

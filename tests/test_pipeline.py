@@ -116,7 +116,7 @@ def test_the_report_tells_what_was_done(clouds, template, device: str) -> None:
     report = warpdef.reconstruct(clouds, quick(), device=device, template=template).report
     assert json.loads(json_text(report)) is not None
     assert report["iterations"] == 30 and report["refine"]["rounds"] == 3 and not report["interrupted"]
-    assert set(report["seconds"]) == {"template", "compile", "optimise", "refine"}
+    assert set(report["seconds"]) == {"template", "compile", "optimise", "refine", "assess"}
     assert set(report["losses"]) == {"mesh", "input", "transform", "isometry", "total"}
     assert report["solver"]["sobolev"]["name"] == "cosine" and report["solver"]["refine"]["not_converged"] == 0
     assert report["peak_memory_mb"] > 10 and report["frames"] == 4

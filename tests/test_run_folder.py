@@ -78,6 +78,13 @@ def test_a_result_obeys_the_umask(tmp_path):
     assert out.stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
+def test_the_confidence_comes_back(tmp_path):
+    trust = np.arange(48, dtype=np.uint8).reshape(12, 4)
+    found = load_run(save(RunFolder.prepare(tmp_path / "out"), confidence=trust)).confidence
+    assert found.dtype == np.uint8 and (found == trust).all()
+    assert load_run(save(RunFolder.prepare(tmp_path / "older"))).confidence is None
+
+
 def test_report_may_be_asked_for_last(tmp_path):
     def report():
         (partial,) = tmp_path.iterdir()
@@ -271,6 +278,7 @@ def test_failing_renames(tmp_path, monkeypatch, step):
         ({"vertices": VERTICES[0]}, r"expected shape \(T, V, 3\)"),
         ({"vertices": VERTICES * np.nan}, "NaN or infinity"),
         ({"faces": FACES + 1}, r"vertex indices in 0\.\.3"),
+        ({"confidence": np.zeros((12, 3), dtype=np.uint8)}, r"confidence: expected shape \(12, 4\), got \(12, 3\)"),
     ],
 )
 def test_results_that_do_not_fit(tmp_path, changes, message):
@@ -316,6 +324,11 @@ def spoil_names(out: Path) -> None:
     np.savez(out / "sequence.npz", vertices=VERTICES, faces=FACES, keyframe=[1, 2], names=["a"] * 11)
 
 
+def spoil_confidence(out: Path) -> None:
+    arrays = {"vertices": VERTICES, "faces": FACES, "keyframe": 5, "names": ["a"] * 12}
+    np.savez(out / "sequence.npz", **arrays, confidence=np.zeros((12, 4)))
+
+
 def drop_keyframe(out: Path) -> None:
     np.savez(out / "sequence.npz", vertices=VERTICES, faces=FACES)
 
@@ -327,6 +340,7 @@ def drop_keyframe(out: Path) -> None:
         (spoil_config, r"config\.toml: unknown key 'sede'; did you mean 'seed'"),
         (spoil_sequence, r"sequence\.npz: cannot be read"),
         (spoil_keyframe, "expected 12 names and a keyframe among them"),
+        (spoil_confidence, r"confidence: expected shape \(12, 4\) uint8, got \(12, 4\) float64"),
         (spoil_names, "expected 12 names and a keyframe among them"),
         (drop_keyframe, "expected an array 'keyframe', got vertices, faces"),
         (foreign_sequence, "without report.json"),

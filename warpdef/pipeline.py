@@ -18,6 +18,7 @@ import warp as wp
 import warpdef
 from warpdef.config import Config
 from warpdef.device import usable_cores
+from warpdef.errors import MissingPackageError
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
@@ -32,8 +33,9 @@ from warpdef.motion.gaps import fill_gaps
 from warpdef.motion.grid_motion import GridMotion
 from warpdef.prepare import Safeguards, prepare
 from warpdef.progress import Callback, Clock, Limits, Progress, held_interrupts, peak_memory_mb
+from warpdef.quality.assess import assess
 from warpdef.result import Reconstruction
-from warpdef.sequence import PointSequence, Similarity, name_frames
+from warpdef.sequence import PointSequence, Similarity
 from warpdef.template.choose import ChosenTemplate, accept_user_template, choose_template
 
 
@@ -57,8 +59,7 @@ def reconstruct(
         template: a mesh of your own for the keyframe, input units, its vertex order kept; if not given, the file
             ``config.template.mesh``; if that is empty, a mesh is reconstructed.
         callback: called with a ``Progress`` now and then. Ctrl-C during the optimisation ends it early: the best
-            state so far is returned, with ``report["interrupted"]`` true and ``report["stopped"]`` saying why. So
-            do SIGTERM and SIGHUP where the program handles them; ``report["signal"]`` is the signal's name.
+            state so far is returned, with ``report["interrupted"]`` true and ``report["stopped"]`` saying why.
         safeguards: checkpoints, a run to go on from, limits of time and memory; if not given, only what is free of
             memory is looked at.
 
@@ -113,19 +114,22 @@ def reconstruct(
             # Beyond the paper: every vertex of every frame on its own, and one shape for all frames.
             with clock.phase("refine"):
                 run.refine()
-            vertices = optimiser.objective.placed_vertices()
-            vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces)
-            vertices = float32_where_exact(into.from_cube(vertices))
+        vertices = optimiser.objective.placed_vertices()
+        vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces)
+        vertices = float32_where_exact(into.from_cube(vertices))
 
-            levels = (config.grid.coarsest, config.grid.levels)
-            nodes = optimiser.nodes.numpy()
-            motion = GridMotion.from_nodes(nodes, levels, chosen.keyframe, into, sequence.numbers, sequence.frame_count)
+        levels = (config.grid.coarsest, config.grid.levels)
+        nodes = optimiser.nodes.numpy()
+        motion = GridMotion.from_nodes(nodes, levels, chosen.keyframe, into, sequence.numbers, sequence.frame_count)
 
-            result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=run.steps, motion=motion)
-            result.appearance = None if template is None else template.appearance
-            result.report = _report(sequence, chosen, run, team.size, clock, estimate)
-            ended = interruption.signal if run.stopped and interruption.asked else None
-            result.report |= {"interrupted": ended is not None, "signal": ended, "resumed": resumed}
+    result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=run.steps, motion=motion)
+    result.appearance = None if template is None else template.appearance
+    with clock.phase("assess"):
+        judged = _assess(result, sequence)
+    result.report = _report(sequence, chosen, run, team.size, clock, estimate)
+    result.report["warnings"] += judged.pop("warnings")
+    result.report |= {"interrupted": interruption.asked, "resumed": resumed, **judged}
+    result.report["input"] = {"path": safeguards.notes.get("input", ""), "digests": facts["digests"]}
     return result
 
 
@@ -169,6 +173,16 @@ def _surface_normals(
     return [pca_normals(p, neighbours) if n is None else n for p, n in zip(clouds, given, strict=True)]
 
 
+def _assess(result: Reconstruction, sequence: PointSequence) -> dict:
+    """What the clouds alone say of the result, for its report; the confidence goes into the result."""
+    try:
+        found = assess(sequence.all_frames(), result.vertices, result.faces, result.keyframe)
+    except MissingPackageError as error:  # no reason to lose a finished fit
+        return {"warnings": [f"the frames are not judged: {error}"]}
+    result.confidence = found.confidence
+    return {**found.as_dict(), "warnings": found.warnings()}
+
+
 def _report(
     sequence: PointSequence, chosen: ChosenTemplate, run: FitRun, threads: int, clock: Clock, estimate: MemoryEstimate
 ) -> dict:
@@ -180,12 +194,9 @@ def _report(
     if refinement is not None:
         stages["refine"] = refinement.solves
         warnings += refinement.solves.warning("refine.iterations_max")
-        recovered, lost, followed = (
-            [sequence.numbers[t] for t in found]
-            for found in (refinement.frames_recovered, refinement.frames_lost, run.followed)
+        recovered, followed = (
+            [sequence.numbers[t] for t in found] for found in (refinement.frames_recovered, run.followed)
         )
-        if lost:
-            warnings.append(f"part of the points is not covered by the mesh in {name_frames(lost)}")
         vertex_stage = {**refinement.as_dict(), "frames_recovered": recovered, "frames_followed": followed}
     return {
         "versions": {"warpdef": warpdef.__version__, "warp": wp.__version__, "python": platform.python_version()},

@@ -15,12 +15,15 @@ from warpdef.cleaning.strays import drop_strays
 from warpdef.config import Config, parse_slice
 from warpdef.device import find_device
 from warpdef.errors import InputError
-from warpdef.files import read_mesh
+from warpdef.files import read_clouds, read_mesh
 from warpdef.fit.saving import Saved
 from warpdef.memory import MemoryEstimate, require_memory
 from warpdef.mesh import TriMesh
 from warpdef.progress import Clock
 from warpdef.sequence import PointSequence
+
+READ_FACTOR = 20
+"""Points of a frame kept while reading, times those that the method is to use."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,17 @@ def prepare(
     if saved is not None:
         saved.require_input(sequence)
     return Prepared(sequence, template, config, target, saved, estimate, clock)
+
+
+def read_input(path: Path, config: Config, strict: bool = False) -> PointSequence:
+    """The frames ``config.frames`` of the clouds at ``path``, not cleaned; arguments as ``read_clouds``.
+
+    Raises:
+        InputError, MissingPackageError: as ``read_clouds``.
+    """
+    # Of a frame far larger than asked for only a part is held; the method draws from it.
+    kept = READ_FACTOR * config.points
+    return read_clouds(path, parse_slice(config.frames), strict=strict, points=kept, seed=config.seed)
 
 
 def clean(sequence: PointSequence, config: Config) -> PointSequence:

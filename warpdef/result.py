@@ -79,6 +79,7 @@ class Reconstruction(Moving):
     steps:    the loss curve, one record every few iterations
     motion:   the deformation grids, for ``deform``
     appearance: colours and texture coordinates of a template given, where it has any
+    confidence: how far each vertex of each frame can be trusted, 255 for 1   (T, V) uint8
     """
 
     vertices: np.ndarray
@@ -89,3 +90,4 @@ class Reconstruction(Moving):
     steps: list[dict[str, float]] = field(default_factory=list)
     motion: GridMotion | None = None
     appearance: Appearance | None = None
+    confidence: np.ndarray | None = None

@@ -1,7 +1,8 @@
 """The folder of one run: complete or not there, never half, and nothing of anyone else's is ever deleted.
 
     sequence.npz   vertices (T, V, 3) in input units, float32 (far from the origin float64), faces (F, 3) int32,
-                   keyframe, names (T,); of a template given vertex_colors and uv or corner_uv, where it has any
+                   keyframe, names (T,), confidence (T, V) uint8; of a template given vertex_colors and uv or corner_uv,
+                   where it has any
     texture.png    the image on that template, or texture.jpg, byte for byte
     motion.npz     the deformation grids, for `warpdef deform`
     meshes/        0000.ply, 0001.ply, ...: the same, one mesh a frame
@@ -112,6 +113,7 @@ class RunFolder:
         names: Sequence[str],
         motion: GridMotion | None = None,
         appearance: Appearance | None = None,
+        confidence: np.ndarray | None = None,
     ) -> Path:
         """Write the whole result and move it into place.
 
@@ -126,6 +128,7 @@ class RunFolder:
             names: T names of the input's frames.
             motion: the deformation grids; None: the run cannot be used by ``deform``.
             appearance: colours and texture of the mesh.
+            confidence: shape (T, V) uint8, of each vertex of each frame; see ``quality.confidence``.
 
         Returns:
             The folder, absolute.
@@ -141,12 +144,17 @@ class RunFolder:
                 f"{self.path}: expected {len(sequence)} frame names and a keyframe among them, "
                 f"got {len(names)} names and keyframe {keyframe}"
             )
+        if confidence is not None and confidence.shape != sequence.vertices.shape[:2]:
+            raise InputError(
+                f"{self.path}: confidence: expected shape {sequence.vertices.shape[:2]}, got {confidence.shape}"
+            )
         temporary = sibling(self.path, "partial")
         try:
             (temporary / "meshes").mkdir(parents=True)
             arrays = {"vertices": sequence.vertices, "faces": sequence.faces}
             arrays |= {"keyframe": np.array(keyframe, dtype=np.int64), "names": np.array(names, dtype=np.str_)}
             arrays |= {} if appearance is None else appearance.arrays()
+            arrays |= {} if confidence is None else {"confidence": confidence}
             write_npz(temporary / "sequence.npz", arrays)
             if appearance is not None and appearance.texture is not None:
                 (temporary / f"texture.{appearance.texture.kind}").write_bytes(appearance.texture.data)

@@ -38,6 +38,7 @@ class Run(Moving):
     config:     the configuration of the run
     report:     contents of report.json
     appearance: colours and texture of the template given, where it had any
+    confidence: of each vertex of each frame, 255 for 1 (T, V) uint8; None for results of earlier versions
     """
 
     path: Path
@@ -47,6 +48,7 @@ class Run(Moving):
     config: Config
     report: dict[str, Any]
     appearance: Appearance = field(default_factory=Appearance)
+    confidence: np.ndarray | None = None
 
     @property
     def vertices(self) -> np.ndarray:
@@ -113,10 +115,16 @@ def load_run(path: Path | str) -> Run:
         appearance = Appearance.from_arrays(look, meshes.vertices.shape[1], len(meshes.faces))
     except InputError as error:
         raise InputError(f"{npz.path}: {error}") from None
+    confidence = npz.array("confidence") if "confidence" in npz else None
+    if confidence is not None and (confidence.shape, confidence.dtype) != (meshes.vertices.shape[:2], np.uint8):
+        raise InputError(
+            f"{npz.path}: confidence: expected shape {meshes.vertices.shape[:2]} uint8, got {confidence.shape} "
+            f"{confidence.dtype}; it is damaged: run again"
+        )
     image = next((path / name for name in TEXTURES if (path / name).is_file()), None)
     if image is not None and (appearance.uv is not None or appearance.corner_uv is not None):
         appearance = replace(appearance, texture=read_texture_file(image))
-    return Run(path, meshes, keyframe, names, load_config(path / "config.toml"), report, appearance)
+    return Run(path, meshes, keyframe, names, load_config(path / "config.toml"), report, appearance, confidence)
 
 
 def write_metrics(path: Path | str, metrics: Mapping[str, Any]) -> Path:

@@ -19,6 +19,7 @@ from warpdef.geometry.closest import closest_on_surface
 from warpdef.geometry.sampling import sample_surface
 from warpdef.geometry.triangles import unique_edges
 from warpdef.mesh import MeshSequence, TriMesh
+from warpdef.quality.temporal import acceleration, flicker
 
 METRICS = (
     "chamfer_l2",
@@ -29,6 +30,10 @@ METRICS = (
     "edge_distortion",
     "chamfer_floor",
     "tracking",
+    "flicker",
+    "flicker_truth",
+    "acceleration",
+    "acceleration_truth",
 )
 """Keys of one frame's results, in order."""
 
@@ -152,7 +157,8 @@ def evaluate(
     there are ``edge_distortion`` (see there) and ``tracking``: the template's vertices are put on the closest places of
     the true surface at the keyframe, these places move with the truth, and the mean distance from them to the
     reconstruction's vertices is taken. It needs a truth with the same triangles in all frames. The keyframe counts in
-    the means.
+    the means. ``flicker`` (degrees) and ``acceleration`` are ``quality.temporal``'s, of the result and, where its
+    triangles stay the same, of the truth; the first and the last frame have none.
 
     Args:
         result: vertices (T, V, 3) and faces (F, 3) in the truth's units.
@@ -187,8 +193,12 @@ def evaluate(
         raise InputError(f"evaluation: keyframe: expected an index in 0..{count - 1}, got {keyframe}")
 
     edges = unique_edges(moving.faces)
-    tracked = None
-    if keyframe is not None and (isinstance(truth, MeshSequence) or same_triangles(truth) is not None):
+    tracked, steady = None, isinstance(truth, MeshSequence) or same_triangles(truth) is not None
+    calm = _calmness(moving.vertices, moving.faces, "")
+    if steady:
+        true_vertices = truth.vertices if isinstance(truth, MeshSequence) else [m.vertices for m in truth]
+        calm |= _calmness(true_vertices, truth[0].faces, "_truth")
+    if keyframe is not None and steady:
         at_keyframe = truth[keyframe]
         template = moving[keyframe].vertices
         _, face, barycentric = closest_on_surface(template, at_keyframe.vertices, at_keyframe.faces)
@@ -201,10 +211,13 @@ def evaluate(
             box = UnitBox.of(true_mesh.vertices)
             unit_truth = TriMesh(box.map(true_mesh.vertices), true_mesh.faces)
             unit = TriMesh(box.map(mesh.vertices), mesh.faces)
-            values: dict[str, Any] = compare_surfaces(unit, unit_truth, samples, (seed, frame))
+            of_surfaces = compare_surfaces(unit, unit_truth, samples, (seed, frame))
         except InputError as error:
             raise InputError(f"frame {frame}: {error}") from None
-        values["edge_distortion"] = values["tracking"] = None
+        values: dict[str, Any] = {**dict.fromkeys(METRICS), **of_surfaces}
+        for key, of_frames in calm.items():
+            scale = box.side if key.startswith("acceleration") else 1.0
+            values[key] = None if np.isnan(of_frames[frame]) else float(of_frames[frame] / scale)
         if keyframe is not None:
             values["edge_distortion"] = edge_distortion(mesh.vertices, moving[keyframe].vertices, edges)
         if tracked is not None:
@@ -214,5 +227,14 @@ def evaluate(
         frames.append({"frame": frame, **{key: values[key] for key in METRICS}})
         if progress is not None:
             progress(frame + 1, count)
-    mean = {key: None if frames[0][key] is None else float(np.mean([f[key] for f in frames])) for key in METRICS}
-    return {"mean": mean, "frames": frames}
+    return {"mean": {key: _mean(frames, key) for key in METRICS}, "frames": frames}
+
+
+def _calmness(vertices: np.ndarray | Sequence[np.ndarray], faces: np.ndarray, suffix: str) -> dict[str, np.ndarray]:
+    return {"flicker" + suffix: flicker(vertices, faces), "acceleration" + suffix: acceleration(vertices)}
+
+
+def _mean(frames: Sequence[dict[str, Any]], key: str) -> float | None:
+    """Over the frames that have the measure; None where none has."""
+    known = [frame[key] for frame in frames if frame[key] is not None]
+    return float(np.mean(known)) if known else None

@@ -1,0 +1,241 @@
+"""What is known of a result without a truth, on results whose faults were made by hand."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from warpdef.geometry.sampling import sample_surface
+from warpdef.quality.assess import Assessment, assess
+from warpdef.quality.coverage import measure_coverage, noise_level
+from warpdef.quality.frame import FrameQuality
+from warpdef.quality.shape import ReferenceShape, neighbouring_faces, opposite_vertices
+from warpdef.quality.temporal import acceleration, flicker
+from warpdef.quality.verdict import BOUNDS, summary
+
+pytest.importorskip("gpytoolbox")
+FRAMES, POINTS, KEYFRAME = 5, 1500, 2
+
+
+def tube(rings: int = 40, around: int = 32) -> tuple[np.ndarray, np.ndarray]:
+    """A closed tube along x, 4 long and 1 wide, with flat ends; outward triangles."""
+    angle = np.arange(around) * 2.0 * np.pi / around
+    x = np.linspace(-2.0, 2.0, rings)
+    ring = np.stack([np.zeros(around), 0.5 * np.cos(angle), 0.5 * np.sin(angle)], axis=1)
+    vertices = (ring[None] + x[:, None, None] * [1.0, 0.0, 0.0]).reshape(-1, 3)
+    a = np.arange(around)
+    b = (a + 1) % around
+    faces = []
+    for r in range(rings - 1):
+        i, j = r * around, (r + 1) * around
+        faces += [np.stack([i + a, i + b, j + b], axis=1), np.stack([i + a, j + b, j + a], axis=1)]
+    low, high, last = len(vertices), len(vertices) + 1, (rings - 1) * around
+    faces += [np.stack([np.full_like(a, low), b, a], axis=1), np.stack([np.full_like(a, high), last + a, last + b], 1)]
+    return np.concatenate([vertices, [[-2.0, 0, 0], [2.0, 0, 0]]]), np.concatenate(faces).astype(np.int32)
+
+
+VERTICES, FACES = tube()
+
+
+def moved(frame: int) -> np.ndarray:
+    """The tube turned by 5 degrees a frame, and carried along."""
+    c, s = np.cos(np.radians(5.0 * frame)), np.sin(np.radians(5.0 * frame))
+    return VERTICES @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + [0.1 * frame, 0.0, 0.0]
+
+
+@pytest.fixture
+def meshes() -> np.ndarray:
+    return np.stack([moved(t) for t in range(FRAMES)])
+
+
+@pytest.fixture
+def clouds(meshes: np.ndarray) -> list[np.ndarray]:
+    return [sample_surface(v, FACES, POINTS, np.random.default_rng(t))[0] for t, v in enumerate(meshes)]
+
+
+def names(assessment: Assessment) -> list[str]:
+    return [verdict.name for verdict in assessment.verdicts]
+
+
+def test_a_perfect_result_is_good(meshes, clouds) -> None:
+    found = assess(clouds, meshes, FACES, KEYFRAME)
+    assert names(found) == ["good"] * FRAMES and not found.warnings()
+    for frame in found.frames:
+        assert frame.residual_p95 < 1e-9 and frame.uncovered == 0.0 and frame.torn == 0.0
+        assert frame.far < 0.002 and frame.unseen < 0.01 and frame.folded == 0.0 and frame.stretch_max < 1e-9
+        assert frame.thickness == pytest.approx(1.0) and frame.volume == pytest.approx(1.0)
+        # Points thrown at random lie half the square root of the area of one apart.
+        assert frame.spacing == pytest.approx(0.5 * np.sqrt((np.pi * 4.0 + np.pi * 0.5) / POINTS), rel=0.1)
+    assert found.confidence.shape == meshes.shape[:2] and found.confidence.dtype == np.uint8
+    assert found.confidence.mean() > 250
+
+
+def test_one_frame_beside_its_points_is_lost(meshes, clouds) -> None:
+    meshes[3] += [0.0, 0.0, 0.4]
+    found = assess(clouds, meshes, FACES, KEYFRAME)
+    assert names(found) == ["good", "good", "good", "lost", "good"]
+    assert "points" in found.verdicts[3].reasons[0] and found.frames[3].residual_mean_percent > 3.0
+    assert found.warnings()[0].startswith("the mesh is lost in frame 3: ")
+    assert found.confidence[3].mean() < 0.3 * found.confidence[1].mean()
+
+
+def test_a_limb_left_behind_is_not_good(meshes, clouds) -> None:
+    """The last twentieth of the tube has points, and no mesh."""
+    along = np.minimum(VERTICES[:, 0], 1.8)
+    meshes[1] = moved(1) + (along - VERTICES[:, 0])[:, None] * (moved(1)[-1] - moved(1)[-2]) / 4.0
+    found = assess(clouds, meshes, FACES, KEYFRAME)
+    assert names(found) == ["good", "doubtful", "good", "good", "good"]
+    assert 0.03 < found.frames[1].uncovered < 0.1
+
+
+def test_half_of_the_surface_unseen_is_no_fault(meshes, clouds) -> None:
+    half = [cloud[cloud[:, 2] > 0.0] for cloud in clouds]
+    found = assess(half, meshes, FACES, KEYFRAME)
+    assert names(found) == ["good"] * FRAMES
+    # What lies within four spacings of the upper half is not far.
+    share = 0.5 - 4.0 * found.frames[0].spacing / (np.pi * 0.5)
+    assert found.frames[0].far == pytest.approx(share, abs=0.04) and found.frames[0].unseen >= found.frames[0].far
+    up = VERTICES[:, 2] > 0.2
+    assert found.confidence[:, up].mean() > 250 and found.confidence[:, VERTICES[:, 2] < -0.4].max() < 10
+
+
+def test_surface_drawn_out_where_no_points_are_is_torn(meshes, clouds) -> None:
+    """A web: some vertices of the side are drawn far away from it."""
+    side = (np.abs(VERTICES[:, 0]) < 0.2) & (VERTICES[:, 2] > 0.3)
+    meshes[4, side] += [0.0, 0.0, 1.0]
+    found = assess(clouds, meshes, FACES, KEYFRAME)
+    assert names(found)[:4] == ["good"] * 4 and names(found)[4] != "good"
+    assert found.frames[4].torn > 0.02 and any("without points" in reason for reason in found.verdicts[4].reasons)
+    assert found.confidence[4, side].max() <= 255 * 0.5 * 0.8 + 1  # its shape is known from the other frames
+    assert found.confidence[:4, side].mean() > 240
+
+
+def test_surface_folded_behind_another_is_told(meshes, clouds) -> None:
+    """The lower half lies on the upper one: all points of that are covered, and no length has changed."""
+    upper = [cloud[cloud[:, 2] > 0.0] for cloud in clouds]
+    meshes[0, :, 2] = np.abs(meshes[0, :, 2])
+    found = assess(upper, meshes, FACES, KEYFRAME)
+    assert found.frames[0].uncovered == 0.0 and found.frames[0].doubled > 0.3
+    assert names(found) == ["doubtful"] + ["good"] * 4
+    assert any("behind or inside" in reason for reason in found.verdicts[0].reasons)
+
+
+def test_noise_is_no_fault(meshes, clouds) -> None:
+    rng = np.random.default_rng(5)
+    noisy = [cloud + rng.normal(scale=0.05, size=cloud.shape) for cloud in clouds]
+    found = assess(noisy, meshes, FACES, KEYFRAME)
+    assert names(found) == ["good"] * FRAMES
+    assert found.frames[0].noise == pytest.approx(0.05, rel=0.35)
+
+
+def test_a_frame_without_points_is_doubtful(meshes, clouds) -> None:
+    clouds[1] = np.zeros((0, 3))
+    found = assess(clouds, meshes, FACES, KEYFRAME)
+    assert names(found) == ["good", "doubtful", "good", "good", "good"]
+    assert found.verdicts[1].reasons == ("no usable points: interpolated",)
+    assert found.frames[1].uncovered is None and found.frames[1].stretch_max < 1e-9
+    assert not found.warnings()  # the input has told it already
+    report = found.as_dict()
+    assert report["verdicts"] == names(found) and report["quality"][1]["reasons"] == ["no usable points: interpolated"]
+
+
+def test_the_keyframe_is_held_against_the_others(meshes, clouds) -> None:
+    """It is its own shape: built from another body it differs from all others, and they from it."""
+    wide = meshes.copy()
+    wide[KEYFRAME] = (VERTICES * [1.0, 1.7, 1.7]) + moved(KEYFRAME)[-1]
+    clouds[KEYFRAME] = sample_surface(wide[KEYFRAME], FACES, POINTS, np.random.default_rng(0))[0]
+    assert names(assess(clouds, wide, FACES, KEYFRAME)) == ["doubtful"] * FRAMES
+    # With the shape known, the one alone.
+    told = assess(clouds, wide, FACES, KEYFRAME, shape=VERTICES)
+    assert names(told) == ["good", "good", "doubtful", "good", "good"]
+
+
+def test_units_and_place_do_not_matter(meshes, clouds) -> None:
+    meshes[3] += [0.0, 0.0, 0.1]
+    near = assess(clouds, meshes, FACES, KEYFRAME)
+    far = assess([1000.0 * c + 1e7 for c in clouds], 1000.0 * meshes + 1e7, FACES, KEYFRAME)
+    assert names(near) == names(far)
+    for a, b in zip(near.frames, far.frames, strict=True):
+        assert b.residual_mean_percent == pytest.approx(a.residual_mean_percent, abs=1e-6)
+        assert b.residual_mean == pytest.approx(1000.0 * a.residual_mean, abs=1e-4)
+        assert b.unseen == pytest.approx(a.unseen, abs=1e-3)
+
+
+# The single measures ------------------------------------------------------------------------------------------
+
+
+def test_the_thickness_of_a_tube() -> None:
+    one, other = opposite_vertices(VERTICES, FACES)
+    side = np.abs(VERTICES[one, 0]) < 1.4  # of the others the ends are as near
+    assert side.sum() > 500
+    np.testing.assert_allclose(np.linalg.norm(VERTICES[one] - VERTICES[other], axis=1)[side], 1.0, atol=0.02)
+    thin = ReferenceShape(VERTICES, FACES).compare(VERTICES * [1.0, 0.5, 0.5])
+    assert thin.thickness == pytest.approx(0.5, abs=0.02) and thin.volume == pytest.approx(0.25)
+    assert thin.thinned > 0.8
+
+
+def test_folds_against_the_shapes_own() -> None:
+    one, other = neighbouring_faces(FACES)
+    assert len(one) == 3 * len(FACES) // 2
+    shape = ReferenceShape(VERTICES, FACES)
+    assert shape.compare(VERTICES).folded == 0.0
+    turned = VERTICES.copy()
+    turned[:, 0] = -np.abs(turned[:, 0])  # folded in the middle, once around
+    assert shape.compare(turned).folded == pytest.approx(32 / len(one), rel=0.1)
+    assert ReferenceShape(turned, FACES).compare(turned).folded == 0.0
+
+
+def test_the_noise_of_a_plane() -> None:
+    rng = np.random.default_rng(0)
+    plane = np.column_stack([rng.random((3000, 2)), np.zeros(3000)])
+    assert noise_level(plane, cKDTree(plane), rng) < 1e-6
+    for level in (0.002, 0.01, 0.03):  # the last is three times the spacing
+        points = plane + np.column_stack([np.zeros((3000, 2)), rng.normal(scale=level, size=3000)])
+        assert noise_level(points, cKDTree(points), rng) == pytest.approx(level, rel=0.25)
+
+
+def test_a_face_is_far_where_its_corners_are_not() -> None:
+    """Two dense patches of points, and a triangle from one to the other."""
+    rng = np.random.default_rng(0)
+    patch = np.column_stack([rng.normal(scale=0.02, size=(400, 2)), np.zeros(400)])
+    points = np.concatenate([patch, patch + [1.0, 0.0, 0.0]])
+    vertices, faces = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 0.01, 0]]), np.array([[0, 1, 2]])
+    assert measure_coverage(points, vertices, faces).far == 1.0
+
+
+def test_a_steady_turn_has_the_second_difference_of_a_circle() -> None:
+    meshes = np.stack([moved(t) - [0.1 * t, 0.0, 0.0] for t in range(4)])
+    # |n(t-1) - 2 n + n(t+1)| = 2 (1 - cos 5 degrees) times the part of n that turns; likewise for places.
+    bend = 2.0 * (1.0 - np.cos(np.radians(5.0)))
+    radius = np.linalg.norm(VERTICES[:, :2], axis=1).mean()
+    np.testing.assert_allclose(acceleration(meshes)[1:3], bend * radius, rtol=1e-9)
+    found = flicker(meshes, FACES)
+    assert np.isnan(found[[0, 3]]).all() and 0.5 * bend < np.radians(found[1]) < bend
+    assert np.isnan(acceleration(meshes[:2])).all()
+    sliding = np.stack([VERTICES + [t * t, 0.0, 0.0] for t in range(3)])
+    assert flicker(sliding, FACES)[1] == pytest.approx(0.0, abs=1e-9) and acceleration(sliding)[1] == pytest.approx(2.0)
+
+
+# Verdicts -----------------------------------------------------------------------------------------------------
+
+
+def test_the_table_of_thresholds() -> None:
+    known = {field.name for field in fields(FrameQuality)}
+    for bound in BOUNDS:
+        assert bound.measure in known and 0.0 < bound.doubtful < bound.lost
+        assert bound.why and bound.reason.format(0.5) != bound.reason
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "text"),
+    [
+        (["good"] * 3, "3 good"),
+        (["good"] * 6 + ["doubtful"] + ["good"] * 2 + ["lost"], "8 good, 1 doubtful (6), 1 lost (9)"),
+        (["lost"] * 3 + ["good", "lost"], "1 good, 4 lost (0-2, 4)"),
+    ],
+)
+def test_the_line_at_the_end(verdicts: list[str], text: str) -> None:
+    assert summary(verdicts) == text

@@ -1,0 +1,144 @@
+"""The result of a run held against its clouds: what can be known without a truth, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from warpdef.cloud import draw_points
+from warpdef.quality.confidence import vertex_confidence
+from warpdef.quality.coverage import Coverage, measure_coverage
+from warpdef.quality.frame import FrameQuality
+from warpdef.quality.shape import STRETCHED, ReferenceShape, ShapeChange
+from warpdef.quality.temporal import acceleration, flicker
+from warpdef.quality.verdict import DOUBTFUL, LOST, Verdict, judge
+from warpdef.sequence import name_frames
+
+POINTS_JUDGED = 20_000
+"""Points of a frame that are looked at; of larger clouds as many are drawn."""
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """All T frames.
+
+    frames:     what was measured
+    verdicts:   what follows from it
+    confidence: how far each vertex of each frame can be trusted, from 0 to 255   (T, V) uint8
+    """
+
+    frames: list[FrameQuality]
+    verdicts: list[Verdict]
+    confidence: np.ndarray
+
+    def as_dict(self) -> dict[str, Any]:
+        """``verdicts`` (T of ``good``, ``doubtful``, ``lost``) and ``quality`` (a mapping a frame), for reports."""
+        pairs = zip(self.frames, self.verdicts, strict=True)
+        quality = [{**asdict(frame), "reasons": list(verdict.reasons)} for frame, verdict in pairs]
+        return {"verdicts": [verdict.name for verdict in self.verdicts], "quality": quality}
+
+    def warnings(self) -> list[str]:
+        """A line for the lost frames and one for the doubtful ones: their numbers, and the worst reason.
+
+        Frames without points are not named: that they are interpolated is told with the input.
+        """
+        lines = []
+        for name, what in ((LOST, "the mesh is lost in"), (DOUBTFUL, "the mesh is doubtful in")):
+            found = [t for t, v in enumerate(self.verdicts) if v.name == name and self.frames[t].points]
+            if found:
+                worst = max(found, key=lambda t: self.verdicts[t].severity)
+                where = f" (frame {worst})" if len(found) > 1 else ""
+                lines.append(f"{what} {name_frames(found)}: {self.verdicts[worst].reasons[0]}{where}")
+        return lines
+
+
+def assess(
+    clouds: Sequence[np.ndarray],
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    keyframe: int,
+    shape: np.ndarray | None = None,
+) -> Assessment:
+    """Measure every frame of a result against its cloud and against the shape, and judge it.
+
+    Args:
+        clouds: T arrays (N_t, 3), input units; (0, 3) for a frame without points, whose mesh is interpolated.
+        vertices: shape (T, V, 3), input units. faces: shape (F, 3).
+        keyframe: frame that the mesh was built on.
+        shape: shape (V, 3), the shape that all frames should have; the keyframe's mesh if not given, and the keyframe
+            itself is then held against the median of all frames' edges.
+
+    Raises:
+        MissingPackageError: gpytoolbox cannot be imported.
+    """
+    # Far from the origin squares would lose the shape.
+    centre = vertices[keyframe].mean(axis=0, dtype=np.float64)
+    reference = ReferenceShape((vertices[keyframe] if shape is None else shape) - centre, faces)
+    usual = None
+    if shape is None and len(vertices) > 2:
+        usual = np.median([reference.edge_lengths(v - centre) for v in vertices], axis=0)
+
+    frames, coverages, stretches = [], [], []
+    calm = flicker(vertices, faces), acceleration(vertices)
+    for t, points in enumerate(clouds):
+        points = draw_points(np.asarray(points, dtype=np.float64), None, POINTS_JUDGED, 0, t)[0]
+        placed = vertices[t] - centre
+        change = reference.compare(placed, usual if t == keyframe else None)
+        coverage = measure_coverage(points - centre, placed, faces) if len(points) else None
+        frames.append(_frame(t, points, coverage, change, reference.extent, *(_number(c[t]) for c in calm)))
+        coverages.append(coverage)
+        stretches.append(change.stretch)
+    confidence = vertex_confidence(coverages, stretches, reference.edges, faces, vertices.shape[1])
+    return Assessment(frames, [judge(frame, frames[keyframe]) for frame in frames], confidence)
+
+
+def _frame(
+    t: int,
+    points: np.ndarray,
+    coverage: Coverage | None,
+    change: ShapeChange,
+    extent: float,
+    frame_flicker: float | None,
+    frame_acceleration: float | None,
+) -> FrameQuality:
+    seen: dict[str, float | None] = dict.fromkeys(
+        ("spacing", "noise", "residual_mean", "residual_p95", "residual_mean_percent", "residual_p95_percent")
+        + ("misfit", "uncovered", "far", "unseen", "doubled", "torn")
+    )
+    if coverage is not None:
+        mean, high = float(coverage.residual.mean()), float(np.percentile(coverage.residual, 95.0))
+        seen = {
+            "spacing": float(np.median(coverage.spacing)),
+            "noise": coverage.noise,
+            "residual_mean": mean,
+            "residual_p95": high,
+            "residual_mean_percent": 100.0 * mean / extent,
+            "residual_p95_percent": 100.0 * high / extent,
+            "misfit": float(np.mean(coverage.residual / coverage.length)),
+            "uncovered": coverage.uncovered,
+            "far": coverage.far,
+            "unseen": coverage.unseen,
+            "doubled": coverage.unseen - coverage.far,
+            "torn": coverage.share(coverage.far_faces * change.stretched),
+        }
+    return FrameQuality(
+        frame=t,
+        points=len(points),
+        **seen,
+        stretch_p95=float(np.percentile(change.stretch, 95.0)),
+        stretch_max=float(change.stretch.max()),
+        stretched=float(np.mean(change.stretch > np.log(STRETCHED))),
+        folded=change.folded,
+        thickness=change.thickness,
+        thinned=change.thinned,
+        volume=change.volume,
+        flicker=frame_flicker,
+        acceleration=frame_acceleration,
+    )
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

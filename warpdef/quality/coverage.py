@@ -1,0 +1,137 @@
+"""What one frame's points and its mesh say of each other.
+
+Lengths are counted in units of what the points can tell: a point's own spacing, or the noise where that is larger.
+
+    spacing   0.5 / sqrt(density), the mean distance to the nearest neighbour; density from the 8th neighbour
+    noise     standard deviation of the points across the surface, from their neighbourhoods' principal axes
+    seen      a vertex is seen if the way to its nearest point and from there back to the surface ends beside it, and on
+              the same side: the back of a thin limb, or what no camera saw, finds no such point
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpdef.geometry.closest import closest_on_surface
+from warpdef.geometry.triangles import face_areas, vertex_normals
+
+COVERED = 3.0
+"""Lengths from the surface up to which a point counts as covered."""
+FAR = 4.0
+"""Lengths from every point from which surface counts as far."""
+_NEIGHBOURS = 8  # whose farthest gives the density
+_SPACING = 0.5 * np.sqrt(np.pi / _NEIGHBOURS)  # mean distance to the first neighbour over that to the 8th
+_OTHER_SIDE = -0.25  # cosine between the normals of a vertex and of its point's place below which that is another side
+_JUDGED = 200  # points whose neighbourhoods tell the noise
+_FLAT = ((16, 0.5), (48, 0.75), (144, np.inf))
+"""Neighbours asked for the noise, and thickness over width up to which they are believed: noise wider than a
+neighbourhood makes it a ball (0.8), and the next larger one is asked."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """One frame; N points, V vertices, F faces.
+
+    residual:  exact distance of each point to the surface, input units      (N,)
+    length:    larger of spacing and noise at each point, input units        (N,)
+    spacing:   at each point, input units                                    (N,)
+    noise:     input units
+    face:      where on the surface each point's closest place is            (N,)
+    weights:   its barycentric coordinates there                             (N, 3)
+    away:      distance of each vertex to its nearest point, in lengths      (V,)
+    seen:      whether the frame shows each vertex                           (V,)
+    unseen:    share of the surface that the frame does not show, far or not
+    far_faces: share of each face farther than ``FAR`` lengths from all      (F,)
+    areas:     of the faces, input units squared                             (F,)
+    """
+
+    residual: np.ndarray
+    length: np.ndarray
+    spacing: np.ndarray
+    noise: float
+    face: np.ndarray
+    weights: np.ndarray
+    away: np.ndarray
+    seen: np.ndarray
+    unseen: float
+    far_faces: np.ndarray
+    areas: np.ndarray
+
+    @property
+    def uncovered(self) -> float:
+        """Share of the points that the surface does not reach."""
+        return float(np.mean(self.residual > COVERED * self.length))
+
+    @property
+    def far(self) -> float:
+        """Share of the surface far from every point."""
+        return self.share(self.far_faces)
+
+    def share(self, of_faces: np.ndarray) -> float:
+        """Mean over the surface of a number a face, shape (F,)."""
+        return _mean_by_area(of_faces, self.areas)
+
+
+def noise_level(points: np.ndarray, tree, rng: np.random.Generator) -> float:
+    """Standard deviation of the points (N, 3) across their surface, the points' units; ``tree`` is a k-d tree of them.
+
+    What a surface bends within a neighbourhood counts as noise, so that it is never far below a third of the spacing.
+    """
+    asked = points if len(points) <= _JUDGED else points[rng.choice(len(points), _JUDGED, replace=False)]
+    thickness = np.zeros(1)
+    for count, flat in _FLAT:
+        near = points[tree.query(asked, k=min(count, len(points)))[1]]
+        near = near - near.mean(axis=1, keepdims=True)
+        spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near) / near.shape[1])
+        thickness, width = np.sqrt(np.maximum(spread[:, :2], 0.0)).T
+        if np.median(thickness) <= flat * np.median(width):
+            break
+    return float(np.median(thickness))
+
+
+def measure_coverage(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> Coverage:
+    """Compare one frame's cloud with its mesh.
+
+    Args:
+        points: shape (N, 3) float64. vertices: shape (V, 3) float64, the same units. faces: shape (F, 3).
+
+    Raises:
+        MissingPackageError: gpytoolbox cannot be imported.
+    """
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(points)
+    rank = min(_NEIGHBOURS + 1, len(points))
+    spacing = _SPACING * tree.query(points, k=[rank])[0][:, 0]
+    noise = noise_level(points, tree, np.random.default_rng(0))
+    length = np.maximum(np.maximum(spacing, noise), np.finfo(float).tiny)
+
+    residual, face, weights = closest_on_surface(points, vertices, faces)
+    corners = vertices[faces]
+    back = np.einsum("nk,nki->ni", weights, corners[face])
+    distance, nearest = tree.query(vertices)
+    reach = FAR * length[nearest]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    beside = np.linalg.norm(back[nearest] - vertices, axis=1) <= reach
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+    same_side = np.einsum("vi,vi->v", vertex_normals(vertices, faces), normal[face[nearest]]) > _OTHER_SIDE
+    far = distance > reach
+
+    far_faces = far[faces].mean(axis=1)
+    # Of a face longer than the reach the middle may be far where its corners are not: a web between two limbs.
+    longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
+    wide = np.flatnonzero(longest > FAR * np.median(length))
+    if len(wide):
+        middle, near = tree.query(corners[wide].mean(axis=1))
+        far_faces[wide] = np.maximum(far_faces[wide], middle > FAR * length[near])
+    areas = face_areas(vertices, faces)
+    seen = beside & same_side & ~far
+    unseen = _mean_by_area(np.maximum(far_faces, (~seen)[faces].mean(axis=1)), areas)
+    away = distance / length[nearest]
+    return Coverage(residual, length, spacing, noise, face, weights, away, seen, unseen, far_faces, areas)
+
+
+def _mean_by_area(of_faces: np.ndarray, areas: np.ndarray) -> float:
+    return float((areas * of_faces).sum() / max(areas.sum(), np.finfo(float).tiny))

@@ -1,0 +1,56 @@
+"""What is measured of one frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class FrameQuality:
+    """One frame. Lengths in input units; shares between 0 and 1; None where there are no points, or no such thing.
+
+    frame:        its number in the input
+    points:       how many were looked at
+    spacing:      median distance of a point to its nearest neighbour, were they spread evenly
+    noise:        standard deviation of the points across the surface; never far below a third of the spacing
+    residual_mean, residual_p95: exact distances of the points to the surface
+    residual_mean_percent, residual_p95_percent: the same in percent of the shape's longest side
+    misfit:       mean residual over the larger of spacing and noise
+    uncovered:    share of the points that the surface does not reach
+    far:          share of the surface far from every point; on a partial scan that is no fault
+    unseen:       share of the surface that the frame does not show, far or not
+    doubled:      share of the surface that is near points but not the one that they lie on: behind or inside another
+    torn:         share of the surface that is far from every point and stretched at that
+    stretch_p95, stretch_max: of |log l / l_shape| over the edges
+    stretched:    share of the edges that are longer or shorter than in the shape by half
+    folded:       share of neighbouring faces folded by more than 90 degrees, that were not so in the shape
+    thickness:    median distance of opposite vertices over that in the shape
+    thinned:      share of them whose distance has changed by half
+    volume:       over that of the shape; None where it is open
+    flicker:      mean second difference of the vertex normals, degrees
+    acceleration: mean second difference of the vertices, input units a frame squared
+    """
+
+    frame: int
+    points: int
+    spacing: float | None
+    noise: float | None
+    residual_mean: float | None
+    residual_p95: float | None
+    residual_mean_percent: float | None
+    residual_p95_percent: float | None
+    misfit: float | None
+    uncovered: float | None
+    far: float | None
+    unseen: float | None
+    doubled: float | None
+    torn: float | None
+    stretch_p95: float
+    stretch_max: float
+    stretched: float
+    folded: float
+    thickness: float | None
+    thinned: float | None
+    volume: float | None
+    flicker: float | None
+    acceleration: float | None

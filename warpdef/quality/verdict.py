@@ -1,0 +1,137 @@
+"""A verdict on a frame: good, doubtful or lost. Every threshold stands in ``BOUNDS``.
+
+Coverage tells what the mesh has lost; the shape tells where it was torn or crumpled so that nothing is left uncovered.
+Surface that no point lies on is not held against a frame: a scanner that sees half of the body is no fault of the mesh.
+Neither is what differs from the shape alone a loss: cloth stretches, and where the shape itself was built from another
+body every frame differs from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from warpdef.quality.frame import FrameQuality
+
+GOOD, DOUBTFUL, LOST = "good", "doubtful", "lost"
+VERDICTS = (GOOD, DOUBTFUL, LOST)
+"""From best to worst."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One measure's thresholds: a frame above ``doubtful`` is doubtful, above ``lost`` lost.
+
+    measure: a field of ``FrameQuality``. reason: the value in words, ``{}`` is the number. why: where they come from.
+    over_keyframe: what the keyframe has of it as well is taken off first.
+    """
+
+    measure: str
+    doubtful: float
+    lost: float
+    reason: str
+    why: str
+    over_keyframe: bool = False
+
+
+_NEVER = float("inf")
+
+BOUNDS = (
+    Bound(
+        "uncovered",
+        0.01,
+        0.10,
+        "{:.1%} of the points are not covered",
+        "frames that fit have 0 to 0.5 %; a hand is 1 % of a body, fingers of a hand 1 to 8 %, a limb 10 % and more",
+    ),
+    Bound(
+        "misfit",
+        1.0,
+        3.0,
+        "the points are {:.1f} spacings from the surface in the mean",
+        "clean clouds have 0.05, depth cameras 0.2 to 0.4, noise alone at most 0.8, the mean of a normal distribution "
+        "over its deviation",
+    ),
+    Bound(
+        "torn",
+        0.003,
+        0.05,
+        "{:.1%} of the surface is stretched across places without points",
+        "0 to 0.1 % where nothing is wrong; a web between two limbs has 0.5 % and more",
+    ),
+    Bound(
+        "doubled",
+        0.05,
+        _NEVER,
+        "{:.0%} of the surface lies behind or inside another part of it",
+        "up to 3 % more than in the keyframe where nothing is wrong; crumpled and turned inside out 8 to 20 %",
+        over_keyframe=True,
+    ),
+    Bound(
+        "stretched",
+        0.08,
+        _NEVER,
+        "{:.0%} of the edges are longer or shorter than in the shape by half",
+        "below 1 % on bodies, 1 to 6 % on rough scans of a hand; another body's shape has 11 % and more",
+    ),
+    Bound(
+        "folded",
+        0.05,
+        _NEVER,
+        "{:.1%} of the neighbouring faces are folded onto each other",
+        "0.2 % on bodies, up to 3 % on noisy scans; crumpled meshes have 4 % and more",
+    ),
+    Bound(
+        "thinned",
+        0.30,
+        _NEVER,
+        "{:.0%} of the places are thicker or thinner than in the shape by half",
+        "0 to 3 % on bodies; asked only where a closed shape has opposite sides",
+    ),
+)
+"""What a frame is judged by, and from where on."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """name: one of ``VERDICTS``. reasons: a clause each, the worst first; empty for a good frame.
+    severity: how many times over the worst measure's bound it is."""
+
+    name: str
+    reasons: tuple[str, ...] = ()
+    severity: float = 0.0
+
+
+def judge(frame: FrameQuality, keyframe: FrameQuality) -> Verdict:
+    """The worst that any measure says; a frame without points is doubtful, as its mesh is a guess."""
+    if not frame.points:
+        return Verdict(DOUBTFUL, ("no usable points: interpolated",))
+    found = []
+    for bound in BOUNDS:
+        value = getattr(frame, bound.measure)
+        if value is None:
+            continue
+        over = value - (getattr(keyframe, bound.measure) or 0.0 if bound.over_keyframe else 0.0)
+        if over > bound.doubtful:
+            found.append((over > bound.lost, over / bound.doubtful, bound.reason.format(value)))
+    if not found:
+        return Verdict(GOOD)
+    found.sort(reverse=True)
+    return Verdict(LOST if found[0][0] else DOUBTFUL, tuple(reason for _, _, reason in found), found[0][1])
+
+
+def summary(verdicts: Sequence[str]) -> str:
+    """``15 good, 1 doubtful (6), 1 lost (9)``: how many of each, and which frames are not good.
+
+    Args:
+        verdicts: T of ``VERDICTS``, by frame.
+    """
+    from warpdef.sequence import name_frames  # not before a command runs
+
+    parts = []
+    for name in VERDICTS:
+        frames = [t for t, verdict in enumerate(verdicts) if verdict == name]
+        if frames:
+            which = "" if name == GOOD else f" ({name_frames(frames).split(' ', 1)[1]})"
+            parts.append(f"{len(frames)} {name}{which}")
+    return ", ".join(parts)
