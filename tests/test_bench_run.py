@@ -100,7 +100,7 @@ def test_iteration_against_trees(work: Work) -> None:
     full, warmup = iteration_rows(results, TINY, 1)
     assert warmup["launches"] == TINY.warmup
     assert full["elements"] == 2 * 200 + 2 * len(work.vertices)
-    assert {"move", "compare", "trust", "pull", "descend"} <= set(results["phases"])
+    assert {"move", "compare", "trust", "return", "descend"} <= set(results["phases"])
     assert sum(results["kernels"].values()) <= sum(results["phases"].values())
     assert {"move: move_vertices", "compare: nearest_in_packets", "descend: adam"} <= set(results["kernels"])
 
