@@ -51,7 +51,7 @@ class Toy:
         self.device, self.config, self.levels = device, config, reference.resolutions(1, levels)
         template = moving.vertices[keyframe] + 0.02 * rng.normal(size=moving.vertices[0].shape)
         self.problem = p = Problem(clouds, normals, template, moving.faces, keyframe, config, wp.get_device(device))
-        p.complete = ~np.isin(np.arange(3), partial)
+        p.measures.complete = ~np.isin(np.arange(3), partial)
         self.nodes = (rng.normal(size=(2, p.levels.node_count, 6)) * 0.08).astype(np.float32)
         self.template = p.template.astype(np.float32).astype(np.float64)
         self.evaluate(self.nodes, warmup)
@@ -67,8 +67,8 @@ class Toy:
             for task in phase.tasks:
                 task()
         if not warmup:
-            for first, last in o.steps():
-                o.scatter(first, last)
+            for first, last in p.transition_spans():
+                o.chain.scatter(first, last)
 
     @property
     def adj_nodes(self) -> np.ndarray:
@@ -79,7 +79,7 @@ class Toy:
 
     def adj_template(self, follow: bool) -> np.ndarray:
         o, found = self.objective, self.problem.vectors(np.zeros_like(self.template))
-        template_gradient(self.problem.transitions.keyframe, follow, o.adj_chamfer, o.adj_isometry, o.carry, found)
+        template_gradient(self.problem.transitions.keyframe, follow, o.sums.weighed, o.sums.plain, o.chain.carry, found)
         return found.numpy()
 
     @property
@@ -91,7 +91,7 @@ class Toy:
     @property
     def scene(self) -> reference.Scene:
         p, loss = self.problem, self.config.loss
-        split = p.cloud_first[1:-1]
+        split = p.cloud_offsets[1:-1]
         clouds = np.split(p.cloud.numpy().astype(np.float64), split)
         spacing = np.array([twin_refine.spacing(c) for c in clouds])
         ends = p.template[p.edges.numpy()]
@@ -99,9 +99,9 @@ class Toy:
         between = 0.75 * (spacing[source] + spacing[target])
         vertex_reach = spacing + 0.25 * np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean()
         return reference.Scene(
-            moved_reach=np.where(p.complete[target], np.inf, between),
-            met_reach=np.where(p.complete[source], np.inf, between),
-            vertex_reach=np.where(p.complete, np.inf, vertex_reach),
+            moved_reach=np.where(p.measures.complete[target], np.inf, between),
+            met_reach=np.where(p.measures.complete[source], np.inf, between),
+            vertex_reach=np.where(p.measures.complete, np.inf, vertex_reach),
             clouds=clouds,
             normals=np.split(p.normals.numpy().astype(np.float64), split),
             edges=p.edges.numpy(),
@@ -120,13 +120,13 @@ class Toy:
     def pairs(self) -> tuple[list[reference.Pairs], list[reference.Pairs]]:
         """The kernel's neighbours: of moved clouds, of vertices."""
         p, o, count = self.problem, self.objective, self.problem.vertex_count
-        first, moved_first = p.cloud_first, p.moved_first
-        forth, back = o.moved_to_cloud.index.numpy(), o.cloud_to_moved.index.numpy()
+        first, moved_offsets = p.cloud_offsets, p.moved_offsets
+        forth, back = o.input.correspondences.forth.index.numpy(), o.input.correspondences.back.index.numpy()
         moved = []
         for s, t in enumerate(p.transitions.target):
-            there, here = slice(*moved_first[s : s + 2]), slice(*first[t : t + 2])
-            moved.append(reference.Pairs(forth[there] - first[t], back[here] - moved_first[s]))
-        forth, back = o.vertex_to_cloud.index.numpy(), o.cloud_to_vertex.index.numpy()
+            there, here = slice(*moved_offsets[s : s + 2]), slice(*first[t : t + 2])
+            moved.append(reference.Pairs(forth[there] - first[t], back[here] - moved_offsets[s]))
+        forth, back = o.transform.correspondences.forth.index.numpy(), o.transform.correspondences.back.index.numpy()
         met = [
             reference.Pairs(forth[t * count : (t + 1) * count] - first[t], back[first[t] : first[t + 1]] - t * count)
             for t in range(p.frame_count)
@@ -155,8 +155,8 @@ class Toy:
 def test_losses_match_the_twin(loss: dict, device: str) -> None:
     toy = Toy(device, **loss)
     o, expected = toy.objective, toy.twin()
-    np.testing.assert_allclose(o.loss_input.numpy(), expected.input, rtol=1e-5)
-    np.testing.assert_allclose(o.loss_transform.numpy(), expected.transform, rtol=1e-5)
+    np.testing.assert_allclose(o.input.loss.numpy(), expected.input, rtol=1e-5)
+    np.testing.assert_allclose(o.transform.loss.numpy(), expected.transform, rtol=1e-5)
     told = o.losses()
     assert told["total"] == pytest.approx(reference.total(toy.scene, expected, toy.trust), rel=1e-5)
     assert told["isometry"] == pytest.approx(toy.config.loss.isometry_weight * expected.isometry, rel=1e-5)
@@ -174,9 +174,9 @@ def test_pairs_of_partial_frames_count_by_the_way_back(partial: tuple, device: s
     """Losses and gradient against the twin; what is weighed is less than what every pair would give."""
     toy, full = Toy(device, partial=partial), Toy(device)
     o, expected = toy.objective, toy.twin()
-    np.testing.assert_allclose(o.loss_input.numpy(), expected.input, rtol=1e-5)
-    np.testing.assert_allclose(o.loss_transform.numpy(), expected.transform, rtol=1e-5)
-    lower = o.loss_transform.numpy() < full.objective.loss_transform.numpy()
+    np.testing.assert_allclose(o.input.loss.numpy(), expected.input, rtol=1e-5)
+    np.testing.assert_allclose(o.transform.loss.numpy(), expected.transform, rtol=1e-5)
+    lower = o.transform.loss.numpy() < full.objective.transform.loss.numpy()
     np.testing.assert_array_equal(np.flatnonzero(lower), partial)
     total, directions = toy.twin_total(), rng.normal(size=(20, *toy.nodes.shape))
     expected = [along(lambda n: total(n, toy.template), toy.nodes.astype(float), d, 1e-5) for d in directions]
@@ -188,10 +188,10 @@ def test_infinite_reach_changes_no_bit(device: str) -> None:
     """A complete frame beside a partial one goes through the weights all the same."""
     toy, full = Toy(device, partial=(2,)), Toy(device)
     tolerance = 0 if device == "cpu" else 1e-6
-    for name in ("loss_transform", "loss_input"):
-        found, expected = (getattr(t.objective, name).numpy()[:1] for t in (toy, full))
+    for name in ("transform", "input"):
+        found, expected = (getattr(t.objective, name).loss.numpy()[:1] for t in (toy, full))
         np.testing.assert_allclose(found, expected, rtol=tolerance)
-    found, expected = (t.objective.adj_chamfer.numpy()[:2] for t in (toy, full))
+    found, expected = (t.objective.sums.weighed.numpy()[:2] for t in (toy, full))
     np.testing.assert_allclose(found, expected, rtol=tolerance)
 
 
@@ -199,7 +199,7 @@ def test_infinite_reach_changes_no_bit(device: str) -> None:
 def test_neighbours_are_the_nearest(keyframe: int, device: str) -> None:
     toy = Toy(device, keyframe)
     p, o, scene = toy.problem, toy.objective, toy.scene
-    moved_sets = np.split(o.moved.numpy(), p.moved_first[1:-1])
+    moved_sets = np.split(o.input.points.numpy(), p.moved_offsets[1:-1])
     moved, met = toy.pairs()
     for s, (pairs, t) in enumerate(zip(moved, p.transitions.target, strict=True)):
         np.testing.assert_array_equal(pairs.forth, reference.nearest(moved_sets[s], scene.clouds[t]))
@@ -289,8 +289,8 @@ def test_warm_up_sees_the_input_and_mesh_terms_alone(device: str) -> None:
     weights = found[0]
     expected = finite_differences(input_term, toy.nodes, step=1e-5)
     assert_gradients_close(toy.adj_nodes, expected, elementwise=2e-4, relative=2e-4)
-    assert o.loss_transform.numpy()[1] > 0
-    assert not o.loss_transform.numpy()[[0, 2]].any() and not o.loss_isometry.numpy().any()
+    assert o.transform.loss.numpy()[1] > 0
+    assert not o.transform.loss.numpy()[[0, 2]].any() and not o.terms[1].loss.numpy().any()
 
 
 def test_zero_nodes_leave_the_vertices_and_still_ask_for_a_turn(device: str) -> None:
@@ -307,10 +307,10 @@ def test_normals_unknown_is_the_plain_distance(device: str) -> None:
     without = Problem(toy.scene.clouds, None, toy.template, _faces(), 1, toy.config, wp.get_device(device))
     np.testing.assert_array_equal(without.normals.numpy(), 0)
     np.testing.assert_allclose(without.cloud.numpy(), p.cloud.numpy())
-    expected = toy.objective.loss_input.numpy()
+    expected = toy.objective.input.loss.numpy()
     toy.problem = without
     toy.evaluate(toy.nodes)
-    np.testing.assert_allclose(toy.objective.loss_input.numpy(), expected, rtol=1e-5)
+    np.testing.assert_allclose(toy.objective.input.loss.numpy(), expected, rtol=1e-5)
 
 
 def _faces() -> np.ndarray:

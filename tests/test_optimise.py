@@ -44,7 +44,7 @@ class Run:
                 self.optimiser.step()
                 self.losses.append(self.optimiser.look())
                 objective = self.optimiser.objective
-                self.chamfer.append(float(objective.loss_input.numpy().sum() + objective.loss_transform.numpy().sum()))
+                self.chamfer.append(float(objective.input.loss.numpy().sum() + objective.transform.loss.numpy().sum()))
             self.vertices = self.optimiser.vertices()
         finally:
             team.close()
@@ -61,7 +61,7 @@ def ellipsoid(rng: np.random.Generator) -> synthetic.Synthetic:
 
 
 def test_any_number_of_threads_gives_the_same_bits(ellipsoid, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("warpdef.fit.objective.VERTICES_PER_TASK", 10)  # several tasks for a small template
+    monkeypatch.setattr("warpdef.fit.problem.VERTICES_PER_TASK", 10)  # several tasks for a small template
     config = configured(optimiser={"warmup": 4})
     runs = [Run(ellipsoid, config, "cpu", 12, threads=n) for n in (1, 2, 3)]
     for run in runs[1:]:
@@ -73,7 +73,7 @@ def test_any_number_of_threads_gives_the_same_bits(ellipsoid, monkeypatch: pytes
 def test_spans_of_vertices_and_single_tasks_agree(ellipsoid, monkeypatch: pytest.MonkeyPatch) -> None:
     config = configured(optimiser={"warmup": 2})
     whole = Run(ellipsoid, config, "cpu", 6)
-    monkeypatch.setattr("warpdef.fit.objective.VERTICES_PER_TASK", 7)
+    monkeypatch.setattr("warpdef.fit.problem.VERTICES_PER_TASK", 7)
     np.testing.assert_array_equal(Run(ellipsoid, config, "cpu", 6).vertices, whole.vertices)
 
 
@@ -158,7 +158,7 @@ def test_a_keyframe_that_shows_a_part_moves_no_template(seen: float, device: str
     clouds, normals = list(moving.clouds), list(moving.normals)
     clouds[1], normals[1] = clouds[1][kept], normals[1][kept]
     run = Run(replace(moving, clouds=clouds, normals=normals), configured(), device, 12)
-    assert run.optimiser.problem.complete[1] == (seen > 1)
+    assert run.optimiser.problem.measures.complete[1] == (seen > 1)
     moved = np.abs(run.vertices[1] - moving.vertices[1]).max()
     assert moved > 1e-4 if seen > 1 else moved < 1e-6
 

@@ -65,7 +65,7 @@ def test_any_number_of_threads_gives_the_same_bits(rng: np.random.Generator, see
     start = scene.posed(bodies)
     runs = [Run(scene, start, "cpu", 4, threads=n) for n in (1, 2, 3)]
     p = runs[0].problem
-    assert (p.border is not None) == (not p.complete.all()) == (seen is not None)
+    assert (p.border is not None) == (not p.measures.complete.all()) == (seen is not None)
     for run in runs[1:]:
         np.testing.assert_array_equal(run.vertices, runs[0].vertices)
         np.testing.assert_array_equal(run.rest, runs[0].rest)
@@ -179,9 +179,9 @@ def test_given_sides_are_doubted_only_where_many_oppose_the_mesh(scene: Scene, s
     turned[3][7] *= -1.0
     assert 1 / len(turned[3]) < 0.01
     p = Run(scene, shaken, device, 0, normals=turned).problem
-    found = np.split(p.normals.numpy(), p.cloud_first[1:-1])
+    found = np.split(p.normals.numpy(), p.cloud_offsets[1:-1])
     right = Run(scene, shaken, device, 0).problem
-    expected = np.split(right.normals.numpy(), right.cloud_first[1:-1])
+    expected = np.split(right.normals.numpy(), right.cloud_offsets[1:-1])
     for frame in (0, 1, 2):
         np.testing.assert_array_equal(found[frame], expected[frame])
     assert int((found[3] != expected[3]).any(axis=1).sum()) == 1
@@ -219,7 +219,7 @@ def test_vertices_in_one_place_stay_finite(scene: Scene, device: str) -> None:
 def test_the_spacing_is_each_frames_own(rng: np.random.Generator) -> None:
     sparse, dense = Scene.make(2, 60, rng), Scene.make(2, 500, rng)
     mixed = replace(sparse, clouds=[sparse.clouds[0], dense.clouds[1]], normals=[sparse.normals[0], dense.normals[1]])
-    found = Run(mixed, mixed.vertices, "cpu", 0).problem.spacing
+    found = Run(mixed, mixed.vertices, "cpu", 0).problem.measures.spacing
     np.testing.assert_allclose(found, [twin.spacing(c) for c in mixed.clouds], rtol=1e-5)
     assert found[0] > 2 * found[1]
 
@@ -231,7 +231,7 @@ def test_noisy_clouds_make_the_stage_stiffer(device: str, rng: np.random.Generat
     for noise in (0.0, 0.006, 0.012, 0.4):
         clouds = [c + rng.normal(size=c.shape) * noise for c in scene.clouds]
         found.append(Run(replace(scene, clouds=clouds), scene.vertices, device, 0).stage)
-    thickness = [stage.problem.thickness for stage in found]
+    thickness = [stage.problem.measures.thickness for stage in found]
     assert thickness == sorted(thickness) and thickness[0] < 0.3 < thickness[2]
     assert found[0].noise == 0.0 and found[0].rigidity == found[0].config.rigidity
     assert 0.0 < found[2].noise < found[3].noise == 1.25

@@ -21,7 +21,7 @@ def test_what_a_frame_does_not_show_is_where_its_neighbours_say(device: str, rng
     start[1] += 0.15 * np.clip(scene.body[:, :1], 0, None) * [0, 0, 1]  # bent upwards
     unseen = scene.body[:, 0] > 0.2
     run = Run(scene, start, device, 20, keyframe=0)
-    np.testing.assert_array_equal(run.problem.complete, [True, False, True])
+    np.testing.assert_array_equal(run.problem.measures.complete, [True, False, True])
     assert run.stage.as_dict()["frames_partial"] == 1
     before, after = (
         mean_square(np.linalg.norm(v[1] - scene.vertices[1], axis=1)[unseen]) for v in (start, run.vertices)
@@ -48,7 +48,7 @@ def test_a_guess_from_guesses_is_none(whole: list[int], held: list[int], device:
     """What is not seen is held only beside a frame that shows all."""
     scene = Scene.make(7, 500, rng, seen=lambda t, p: (p[:, 0] < 0) | (t in whole))
     run = Run(scene, scene.vertices, device, 1, keyframe=3)
-    np.testing.assert_array_equal(np.flatnonzero(run.problem.complete), whole)
+    np.testing.assert_array_equal(np.flatnonzero(run.problem.measures.complete), whole)
     np.testing.assert_array_equal(np.flatnonzero(run.stage._hold.numpy()), held)
 
 
@@ -58,7 +58,7 @@ def test_the_shape_is_that_of_frames_that_show_all(device: str, rng: np.random.G
     bent = scene.vertices
     bent[1::2] += 0.3 * np.clip(scene.body[:, :1], 0, None) * [0, 0, 1]
     run, straight = (Run(scene, start, device, 1, keyframe=2) for start in (bent, scene.vertices))
-    np.testing.assert_array_equal(np.flatnonzero(run.problem.complete), [0, 2, 4])
+    np.testing.assert_array_equal(np.flatnonzero(run.problem.measures.complete), [0, 2, 4])
     np.testing.assert_array_equal(run.rest, straight.rest)
     assert np.abs(run.rest - scene.vertices[2]).max() > 0
 
@@ -67,7 +67,7 @@ def test_partial_frames_are_not_taken_for_lost_ones(device: str, rng: np.random.
     """Frames 0 and 2 show two caps that nothing joins: half of their points is on no connected part."""
     scene = Scene.make(5, 900, rng, seen=lambda t, p: (np.abs(p[:, 0]) > 0.3) | (t not in (0, 2)))
     run = Run(scene, scene.vertices, device, 10, keyframe=3)
-    np.testing.assert_array_equal(np.flatnonzero(~run.problem.complete), [0, 2])
+    np.testing.assert_array_equal(np.flatnonzero(~run.problem.measures.complete), [0, 2])
     assert run.stage.frames_recovered == [] and run.stage.frames_lost == []
 
 
@@ -118,13 +118,13 @@ def test_completeness_is_judged_by_area(rng: np.random.Generator) -> None:
     scene = Scene.make(4, 800, rng)
     few = [c[: 800 // (t + 1)] for t, c in enumerate(scene.clouds)]
     sparse = replace(scene, clouds=few, normals=[n[: len(c)] for n, c in zip(scene.normals, few, strict=True)])
-    assert Run(sparse, scene.vertices, "cpu", 0).problem.complete.all()
+    assert Run(sparse, scene.vertices, "cpu", 0).problem.measures.complete.all()
     for seen, complete in (
         (lambda t, p: (p[:, 0] < 0.1) | (t % 2 == 0), [True, False, True, False]),
         (lambda t, p: p[:, t % 3] < 0, [False] * 4),
     ):
         part = Scene.make(4, 1600, rng, seen=seen)
-        np.testing.assert_array_equal(Run(part, part.vertices, "cpu", 0).problem.complete, complete)
+        np.testing.assert_array_equal(Run(part, part.vertices, "cpu", 0).problem.measures.complete, complete)
     tiny = [c[:60] for c in scene.clouds[:3]] + [scene.clouds[3]]
     tiny = replace(scene, clouds=tiny, normals=[n[: len(c)] for n, c in zip(scene.normals, tiny, strict=True)])
-    assert Run(tiny, scene.vertices, "cpu", 0).problem.complete.all()
+    assert Run(tiny, scene.vertices, "cpu", 0).problem.measures.complete.all()

@@ -102,19 +102,21 @@ class Bed:
             while optimiser.done < settle + _SNAPSHOTS:
                 optimiser.step()
                 if optimiser.done > settle:
-                    moved.append(optimiser.objective.moved.numpy().copy())
+                    moved.append(optimiser.objective.input.points.numpy().copy())
                     vertices.append(optimiser.objective.vertices.numpy().reshape(-1, 3).copy())
         self.objective, self.nodes = optimiser.objective, optimiser.nodes
         self.moved_path, self.vertex_path = np.stack(moved), np.stack(vertices)
-        self.levels = self.objective.levels
+        self.levels = self.objective.chain.levels
         self.gradient = self._gradient()
 
     def _gradient(self) -> np.ndarray:
         p, o = self.problem, self.objective
         out = wp.zeros_like(self.nodes)
-        adj_move_points(0, len(o.moved), self.levels, p.origin, p.moved_transition, o.moved_rotation, o.adj_moved, out)
+        adj_move_points(
+            0, len(o.input.points), self.levels, p.origin, p.moved_transition, o.input.rotation, o.input.adj_points, out
+        )
         for s, source in enumerate(p.transitions.source):
-            scatter_vertices(0, p.vertex_count, s, int(source), self.levels, o.vertices, o.adj_motion, out)
+            scatter_vertices(0, p.vertex_count, s, int(source), self.levels, o.vertices, o.chain.adj_motion, out)
         return out.numpy()
 
     def zeros(self, like: wp.array) -> wp.array:

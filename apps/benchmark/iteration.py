@@ -82,7 +82,7 @@ class TreeWork:
 
         p = objective.problem
         self._objective, self._workers, self._tree = objective, workers, cKDTree
-        self._clouds = np.split(p.cloud.numpy(), p.cloud_first[1:-1])
+        self._clouds = np.split(p.cloud.numpy(), p.cloud_offsets[1:-1])
         self._targets = [int(t) for t in p.transitions.target]
         self._static = [cKDTree(c) for c in self._clouds]
         self._build: dict[int, list[float]] = {w: [] for w in workers}
@@ -102,7 +102,7 @@ class TreeWork:
     def run(self) -> None:
         """Do the last iteration's work once for each number of workers; notes the worst difference of a distance."""
         p, o = self._objective.problem, self._objective
-        moved = np.split(o.moved.numpy(), p.moved_first[1:-1])
+        moved = np.split(o.input.points.numpy(), p.moved_offsets[1:-1])
         vertices = list(o.vertices.numpy())
         if self._options is None:
             # The peer is given whichever way of building answers sooner.
@@ -137,15 +137,15 @@ class TreeWork:
 
     def _compare(self, theirs: list[np.ndarray]) -> float:
         p, o = self._objective.problem, self._objective
-        cloud, moved = p.cloud.numpy(), o.moved.numpy()
+        cloud, moved = p.cloud.numpy(), o.input.points.numpy()
         vertices = o.vertices.numpy().reshape(-1, 3)
         # Clouds are asked by frame; the transitions' order is that of their targets.
-        by_target = np.concatenate([np.arange(p.cloud_first[t], p.cloud_first[t + 1]) for t in self._targets])
+        by_target = np.concatenate([np.arange(p.cloud_offsets[t], p.cloud_offsets[t + 1]) for t in self._targets])
         ours = [
-            _lengths(moved, cloud, o.moved_to_cloud.index.numpy()),
-            _lengths(cloud[by_target], moved, o.cloud_to_moved.index.numpy()[by_target]),
-            _lengths(vertices, cloud, o.vertex_to_cloud.index.numpy()),
-            _lengths(cloud, vertices, o.cloud_to_vertex.index.numpy()),
+            _lengths(moved, cloud, o.input.correspondences.forth.index.numpy()),
+            _lengths(cloud[by_target], moved, o.input.correspondences.back.index.numpy()[by_target]),
+            _lengths(vertices, cloud, o.transform.correspondences.forth.index.numpy()),
+            _lengths(cloud, vertices, o.transform.correspondences.back.index.numpy()),
         ]
         return max(float(np.max(np.abs(a - b) / np.maximum(b, 1e-3))) for a, b in zip(ours, theirs, strict=True))
 

@@ -25,7 +25,10 @@ def _chamfer(bed: Bed) -> list[Case]:
     frames = p.frame_count
     vertices = wp.clone(o.vertices).flatten()
     vertex_first = np.arange(frames + 1) * p.vertex_count
-    to_cloud, to_vertex = wp.clone(o.vertex_to_cloud.index), wp.clone(o.cloud_to_vertex.index)
+    to_cloud, to_vertex = (
+        wp.clone(o.transform.correspondences.forth.index),
+        wp.clone(o.transform.correspondences.back.index),
+    )
     share, weight = p.numbers(np.ones(frames)), p.numbers(np.full(frames, 0.5))
     robust = (loss.robust_alpha, loss.robust_power, loss.tangential)
     losses = wp.zeros(frames, dtype=wp.float64, device=bed.device)
@@ -37,7 +40,7 @@ def _chamfer(bed: Bed) -> list[Case]:
     )
     back = bed.span_tasks(
         lambda a, n: fixed_to_moving(a, n, p.cloud, p.normals, p.cloud_frame, to_vertex, vertices, *results),
-        p.cloud_first,
+        p.cloud_offsets,
     )
 
     def gradient(tasks: list) -> tuple[np.ndarray, ...]:

@@ -31,16 +31,16 @@ def _sampling(bed: Bed) -> list[Case]:
     gradient[:, :6] = np.random.default_rng(0).normal(size=(count, 6))
     adj_values = wp.array(gradient, dtype=node8, device=bed.device)
     adj_nodes = bed.node_array()
-    clouds = np.split(p.origin.numpy(), p.moved_first[1:-1])
+    clouds = np.split(p.origin.numpy(), p.moved_offsets[1:-1])
     nodes = bed.nodes.numpy()
     torch = torch_peers(nodes, gradient, table, clouds)
 
     forward = bed.span_tasks(
-        lambda a, n: sample_only(a, n, bed.nodes, bed.levels, p.origin, p.moved_transition, values), p.moved_first
+        lambda a, n: sample_only(a, n, bed.nodes, bed.levels, p.origin, p.moved_transition, values), p.moved_offsets
     )
     back = bed.span_tasks(
         lambda a, n: adj_sample_only(a, n, bed.levels, p.origin, p.moved_transition, adj_values, adj_nodes),
-        p.moved_first,
+        p.moved_offsets,
     )
 
     def value() -> np.ndarray:
@@ -74,9 +74,9 @@ def _sampling(bed: Bed) -> list[Case]:
 
 
 def _cayley(bed: Bed) -> Case:
-    p, z = bed.problem, bed.objective.moved_rotation
+    p, z = bed.problem, bed.objective.input.rotation
     count, out = len(p.origin), bed.zeros(p.origin)
-    tasks = bed.span_tasks(lambda a, n: rotate_only(a, n, z, p.origin, out), p.moved_first)
+    tasks = bed.span_tasks(lambda a, n: rotate_only(a, n, z, p.origin, out), p.moved_offsets)
 
     def moved() -> np.ndarray:
         run_tasks(tasks)
@@ -92,13 +92,13 @@ def _points(bed: Bed) -> list[Case]:
     count, levels, grid = len(p.origin), p.levels.count, bed.nodes.size * _NODE
     z, moved, adj_nodes = bed.zeros(p.origin), bed.zeros(p.origin), bed.node_array()
     forward = bed.span_tasks(
-        lambda a, n: move_points(a, n, bed.nodes, bed.levels, p.origin, p.moved_transition, z, moved), p.moved_first
+        lambda a, n: move_points(a, n, bed.nodes, bed.levels, p.origin, p.moved_transition, z, moved), p.moved_offsets
     )
     back = bed.span_tasks(
         lambda a, n: adj_move_points(
-            a, n, bed.levels, p.origin, p.moved_transition, o.moved_rotation, o.adj_moved, adj_nodes
+            a, n, bed.levels, p.origin, p.moved_transition, o.input.rotation, o.input.adj_points, adj_nodes
         ),
-        p.moved_first,
+        p.moved_offsets,
     )
     return [
         Case("move points", "points", count, count * 40 + grid, forward, count * (levels * _SAMPLE + 8 + _ROTATE)),
@@ -113,8 +113,8 @@ def _vertices(bed: Bed) -> list[Case]:
     p, o, ends = bed.problem, bed.objective, bed.problem.transitions
     levels, grid = p.levels.count, bed.nodes.size * _NODE
     count = len(ends) * p.vertex_count
-    vertices, z, jacobian = wp.clone(o.vertices), bed.zeros(o.rotation), bed.zeros(o.jacobian)
-    carry, adj_motion, adj_nodes = bed.zeros(o.carry), bed.zeros(o.adj_motion), bed.node_array()
+    vertices, z, jacobian = wp.clone(o.vertices), bed.zeros(o.chain.rotation), bed.zeros(o.chain.jacobian)
+    carry, adj_motion, adj_nodes = bed.zeros(o.chain.carry), bed.zeros(o.chain.adj_motion), bed.node_array()
 
     def chain(begin: int, n: int) -> None:
         for s in (*ends.forward, *ends.backward):
@@ -125,14 +125,14 @@ def _vertices(bed: Bed) -> list[Case]:
         for s in (*reversed(ends.forward), *reversed(ends.backward)):
             source, target = int(ends.source[s]), int(ends.target[s])
             adj_move_vertices(
-                begin, n, s, source, target, target, source, o.vertices, o.rotation, o.jacobian, o.confidence,
-                o.adj_chamfer, o.adj_isometry, carry, adj_motion,
+                begin, n, s, source, target, target, source, o.vertices, o.chain.rotation, o.chain.jacobian,
+                o.confidence, o.sums.weighed, o.sums.plain, carry, adj_motion,
             )  # fmt: skip
 
     def scatter(first: int, last: int) -> None:
         for s in range(first, last):
             source = int(ends.source[s])
-            scatter_vertices(0, p.vertex_count, s, source, bed.levels, o.vertices, o.adj_motion, adj_nodes)
+            scatter_vertices(0, p.vertex_count, s, source, bed.levels, o.vertices, o.chain.adj_motion, adj_nodes)
 
     motion = _ROTATE + 3 * (_ROTATE + _ROTATE_ALONG)
     return [

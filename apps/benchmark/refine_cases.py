@@ -51,8 +51,11 @@ def _planes(bed: Bed) -> list[Case]:
 
     normals_of(0, total)
     flat, normals = x.flatten(), m.flatten()
-    to_cloud, to_vertex = wp.clone(o.vertex_to_cloud.index), wp.clone(o.cloud_to_vertex.index)
-    reach = c.reach * p.spacing
+    to_cloud, to_vertex = (
+        wp.clone(o.transform.correspondences.forth.index),
+        wp.clone(o.transform.correspondences.back.index),
+    )
+    reach = c.reach * p.measures.spacing
     pairing = (c.agreement, 1.0, p.numbers(reach))
     matrix, pull = _filled(bed, wp.mat33, total), _filled(bed, wp.vec3, total)
     mesh, cloud = (flat, normals), (p.cloud, p.normals)
@@ -61,7 +64,7 @@ def _planes(bed: Bed) -> list[Case]:
     tasks = {
         "normals": bed.span_tasks(normals_of, _spans(bed)),
         "out": bed.span_tasks(lambda a, n: vertex_planes(a, n, met, matrix, pull), _spans(bed)),
-        "back": bed.span_tasks(lambda a, n: cloud_planes(a, n, asked, matrix, pull), p.cloud_first),
+        "back": bed.span_tasks(lambda a, n: cloud_planes(a, n, asked, matrix, pull), p.cloud_offsets),
     }
 
     def answer(which: str) -> tuple[np.ndarray, ...]:

@@ -21,8 +21,8 @@ def search_cases(bed: Bed) -> list[Case]:
     vertex_first = np.arange(frames + 1) * p.vertex_count
     vertex_sizes = np.full(frames, p.vertex_count)
     moving = wp.clone(bed.objective.vertices).flatten()
-    to_vertices = _Pair(bed, p.cloud, p.cloud_frame, p.cloud_first, moving, vertex_sizes, vertex_first)
-    to_clouds = _Pair(bed, moving, p.vertex_frame, vertex_first, p.cloud, p.cloud_sizes, p.cloud_first)
+    to_vertices = _Pair(bed, p.cloud, p.cloud_frame, p.cloud_offsets, moving, vertex_sizes, vertex_first)
+    to_clouds = _Pair(bed, moving, p.vertex_frame, vertex_first, p.cloud, p.cloud_sizes, p.cloud_offsets)
     build_bytes = len(moving) * (4 * _POINT + 4 * _INDEX) + to_vertices.cells * _INDEX
     return [
         Case(

@@ -50,7 +50,7 @@ def _cosine(bed: Bed) -> Case:
 
 def _pruned(bed: Bed) -> list[Case]:
     p = bed.problem
-    clouds = np.split(p.cloud.numpy(), p.cloud_first[1:-1])
+    clouds = np.split(p.cloud.numpy(), p.cloud_offsets[1:-1])
     ends = zip(p.transitions.source, p.transitions.target, strict=True)
     kept = np.stack([kept_nodes(p.levels, [clouds[a], clouds[b]], Config().grid.prune_cells) for a, b in ends])
     graph = grid_graph(p.levels, kept, level_lambdas(p.config))
@@ -63,7 +63,7 @@ def _pruned(bed: Bed) -> list[Case]:
 
 def _factored(bed: Bed) -> Case:
     o, graph = bed.objective, bed.problem.mesh
-    rhs = o.adj_chamfer.numpy()[bed.problem.transitions.keyframe].copy()
+    rhs = o.sums.weighed.numpy()[bed.problem.transitions.keyframe].copy()
     factor = factorise(graph)
     solver = CholeskySolver(factor, bed.device)
     b, out = bed.problem.vectors(rhs), wp.zeros(len(rhs), dtype=wp.vec3, device=bed.device)
@@ -85,7 +85,7 @@ def _factored(bed: Bed) -> Case:
 
 def _template(bed: Bed) -> list[Case]:
     o, key = bed.objective, bed.problem.transitions.keyframe
-    rhs = o.adj_chamfer.numpy()[key]
+    rhs = o.sums.weighed.numpy()[key]
     return _conjugate("template CG", bed, bed.problem.mesh, rhs, wp.vec3, lambda call: [lambda: call(0, 1)])
 
 

@@ -7,7 +7,7 @@ Grids and template start from x = 0 and the mesh, u = (I + lambda L) x.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -16,7 +16,7 @@ import warp as wp
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import Problem
 from warpdef.fit.sobolev import SolveReport, grid_solver, solver_name, template_solvers
-from warpdef.fit.workers import Iteration, Phase, Team
+from warpdef.fit.workers import Iteration, Phase, Task, Team
 from warpdef.kernels.adam import adam
 from warpdef.kernels.finite import flag_not_finite
 from warpdef.kernels.levels import node8
@@ -54,12 +54,12 @@ class Optimiser:
 
         sobolev = problem.config.sobolev
         factor = 1.0 if sobolev.enabled else sobolev.unpreconditioned_rate
-        finest_first = self.config.rate * self.config.rate_growth ** np.arange(
+        coarsest_first = self.config.rate * self.config.rate_growth ** np.arange(
             problem.config.grid.coarsest - 1, problem.config.grid.levels
         )
         # What a keyframe does not show of a template given is known from the template alone: it stays.
-        shape_rate = self.config.template_rate if problem.complete[problem.transitions.keyframe] else 0.0
-        self._rates = factor * finest_first[problem.levels.node_level()], np.array([factor * shape_rate])
+        shape_rate = self.config.template_rate if problem.measures.complete[problem.transitions.keyframe] else 0.0
+        self._rates = factor * coarsest_first[problem.levels.node_level()], np.array([factor * shape_rate])
         self._rate, self._shape_rate = (problem.numbers(rate) for rate in self._rates)
         self.rate_scale = 1.0
 
@@ -160,7 +160,7 @@ class Optimiser:
     def finish(self) -> None:
         """Move ``objective.vertices`` to where the parameters, as they are now, put them."""
         self._place_template()
-        self.objective.chain_all()
+        self.objective.move_all()
 
     def vertices(self) -> np.ndarray:
         """Vertices of all frames for the parameters as they are now, (T, V, 3) float32, cube units, template order."""
@@ -195,28 +195,32 @@ class Optimiser:
     def _gather_shape(self, warmup: bool) -> None:
         o, key = self.objective, self.problem.transitions.keyframe
         follow = self.problem.config.loss.template_follows_all and not warmup
-        template_gradient(key, follow, o.adj_chamfer, o.adj_isometry, o.carry, self._adj_shape)
+        template_gradient(key, follow, o.sums.weighed, o.sums.plain, o.chain.carry, self._adj_shape)
 
     # Phases.
 
     def _phases(self, warmup: bool) -> list[Phase]:
         o = self.objective
         gather = partial(self._gather_shape, warmup)
-        grid = [] if warmup else [o.scatter]
+        grid = [] if warmup else [o.chain.scatter]
         pull = partial(self._pull_grid.solve, self._adj_nodes, self._adj_u)
         push = partial(self._push_grid.solve, self._u, self.nodes)
         pull_shape = partial(self._pull_shape.solve, self._adj_shape, self._adj_shape_u, 0, 1)
         push_shape = partial(self._push_shape.solve, self._shape_u, self._shape, 0, 1)
+        spans = self.problem.transition_spans()
+
+        def each(*calls: Callable[[int, int], None]) -> list[Task]:
+            return [partial(_span_in_turn, calls, a, b) for a, b in spans]
+
         if not self._pull_grid.direct:
             shape = _in_turn([gather, pull_shape, self._descend_shape, push_shape])
-            steps = [partial(_span_in_turn, [*grid, pull, self._descend, push], a, b) for a, b in o.steps()]
-            last = [Phase("descend", [shape, *steps])]
+            last = [Phase("descend", [shape, *each(*grid, pull, self._descend, push)])]
         else:
             everything = (0, len(self.problem.transitions))
             last = [
-                Phase("gather", [gather, *(partial(_span_in_turn, grid, a, b) for a, b in o.steps())]),
+                Phase("gather", [gather, *each(*grid)]),
                 Phase("pull solves", [partial(pull, *everything), pull_shape], direct=True),
-                Phase("descend", [self._descend_shape, *(partial(self._descend, a, b) for a, b in o.steps())]),
+                Phase("descend", [self._descend_shape, *each(self._descend)]),
                 Phase("push solves", [partial(push, *everything), push_shape], direct=True),
             ]
         return [Phase("advance", [self._advance]), *o.phases(warmup), *last]
@@ -230,7 +234,7 @@ def _in_turn(calls: list[Callable[[], None]]) -> Callable[[], None]:
     return run
 
 
-def _span_in_turn(calls: list[Callable[[int, int], None]], first: int, last: int) -> None:
+def _span_in_turn(calls: Sequence[Callable[[int, int], None]], first: int, last: int) -> None:
     for call in calls:
         call(first, last)
 

@@ -19,7 +19,6 @@ from warpdef.fit.recover import Cloud, Matches, Surface, lost_above
 from warpdef.fit.refine import Refinement
 from warpdef.geometry.cloud_normals import turned_to
 from warpdef.geometry.triangles import vertex_normals
-from warpdef.kernels.motion import move_vertices
 
 ROUNDS = 6
 """Rounds of the vertex stage for a frame before the next starts from it."""
@@ -54,14 +53,13 @@ def follow_outwards(
     def follow(steps: range) -> list[int]:
         fitted: list[int] = []
         for s in steps:
-            source, target = int(ends.source[s]), int(ends.target[s])
+            target = int(ends.target[s])
             # Of an incomplete frame what is seen need not hang together: it says nothing.
-            if not fitted and not (p.complete[target] and uncovered(target) > bound):
+            if not fitted and not (p.measures.complete[target] and uncovered(target) > bound):
                 continue
             if stopped():
                 break
-            places = (objective.vertices, objective.rotation, objective.jacobian)
-            move_vertices(0, p.vertex_count, s, source, target, objective.nodes, objective.levels, *places)
+            objective.chain.move_one(s, 0, p.vertex_count)
             if not p.oriented[target]:
                 _choose_sides(p, target, objective.vertices[target].numpy(), points[target], normals[target])
             refinement.settle(target, ROUNDS)
@@ -80,5 +78,5 @@ def _choose_sides(p: Problem, frame: int, vertices: np.ndarray, points: np.ndarr
     from scipy.spatial import cKDTree
 
     facing = vertex_normals(vertices.astype(np.float64), p.faces)[cKDTree(vertices).query(points)[1]]
-    begin, end = (int(place) for place in p.cloud_first[frame : frame + 2])
+    begin, end = (int(place) for place in p.cloud_offsets[frame : frame + 2])
     p.normals[begin:end].assign(turned_to(normals, facing).astype(np.float32))

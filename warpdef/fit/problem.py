@@ -14,18 +14,16 @@ import numpy as np
 import warp as wp
 
 from warpdef.config import Config
+from warpdef.fit.measures import CloudMeasures, border_of, mean_edge_length
 from warpdef.fit.morton import morton_order
+from warpdef.fit.pool import Pool
 from warpdef.geometry.triangles import face_areas, unique_edges
 from warpdef.kernels.graphs import Graph, kept_nodes, mesh_graph
 from warpdef.kernels.levels import LevelTable
+from warpdef.kernels.ways import way_of
 from warpdef.transitions import Transitions
 
-_NEIGHBOURS = 16  # of a point, for the local shape of its cloud
-COMPLETE = 0.87
-"""Share of the largest frame's area from which a cloud shows all of the surface; whole bodies in motion keep 0.9."""
-COMPLETE_TEMPLATE = 0.7
-"""Share of the template's area that it must have as well; thin limbs and few points cost whole bodies up to 0.24."""
-_JUDGED = 100  # points from which a cloud's area says something
+VERTICES_PER_TASK = 1024
 
 
 class Problem:
@@ -48,7 +46,7 @@ class Problem:
         device: wp.Device,
         oriented: Sequence[bool] | None = None,
     ) -> None:
-        self.config, self.device = config, device
+        self.config, self.device, self.way, self.pool = config, device, way_of(device), Pool(device)
         self.transitions = Transitions.away_from(keyframe, len(clouds))
         self.levels = LevelTable.build(config.grid.coarsest, config.grid.levels)
         orders = [morton_order(c) for c in clouds]
@@ -63,7 +61,7 @@ class Problem:
 
     def _lay_clouds(self, clouds: list[np.ndarray], normals: list[np.ndarray] | None) -> None:
         self.cloud_sizes = np.array([len(c) for c in clouds])
-        self.cloud_first = _first(self.cloud_sizes)
+        self.cloud_offsets = _offsets(self.cloud_sizes)
         flat = np.concatenate(clouds)
         self.box = np.stack([flat.min(axis=0), flat.max(axis=0)])
         self.cloud = self.vectors(flat)
@@ -75,7 +73,7 @@ class Problem:
     def _lay_moved(self, clouds: list[np.ndarray]) -> None:
         source = self.transitions.source
         self.moved_sizes = self.cloud_sizes[source]
-        self.moved_first = _first(self.moved_sizes)
+        self.moved_offsets = _offsets(self.moved_sizes)
         self.origin = self.vectors(np.concatenate([clouds[t] for t in source]))
         self.moved_transition = self.integers(np.repeat(np.arange(len(source)), self.moved_sizes))
         self.moved_target = self.integers(np.repeat(self.transitions.target, self.moved_sizes))
@@ -104,65 +102,38 @@ class Problem:
         return len(self.cloud_sizes)
 
     @cached_property
-    def spacing(self) -> np.ndarray:
-        """Mean distance of a cloud's points to their nearest fellow, cube units, shape (T,)."""
-        return self._local_shape[0]
-
-    @cached_property
-    def thickness(self) -> float:
-        """Thickness over width of the clouds' neighbourhoods, median over points, then frames: what noise adds to."""
-        return float(np.median(self._local_shape[1]))
-
-    @cached_property
-    def complete(self) -> np.ndarray:
-        """Which frames show all of the surface, by their area, shape (T,) bool."""
-        area, whole = self._local_shape[2], float(face_areas(self.template, self.faces).sum())
-        # Noise adds to a cloud's area: what exceeds the template's says nothing.
-        least = max(COMPLETE * min(area.max(), whole), COMPLETE_TEMPLATE * whole)
-        return (area >= least) | (self.cloud_sizes < _JUDGED)
+    def measures(self) -> CloudMeasures:
+        """Of the clouds, against the template's area."""
+        area = float(face_areas(self.template, self.faces).sum())
+        return CloudMeasures(self.by_frame(self.cloud.numpy()), area)
 
     @cached_property
     def border(self) -> np.ndarray | None:
-        """Border vertices' neighbours before and after on the border, and one inside; -1 elsewhere. (V, 3).
-
-        None for a closed template. A vertex at which several borders meet has neighbours of one of them.
-        """
-        a, b, c = (np.roll(self.faces, -k, axis=1).ravel().astype(np.int64) for k in range(3))
-        alone = ~np.isin(a * self.vertex_count + b, b * self.vertex_count + a)
-        if not alone.any():
-            return None
-        border = np.full((self.vertex_count, 3), -1)
-        border[a[alone], 1], border[a[alone], 2], border[b[alone], 0] = b[alone], c[alone], a[alone]
-        border[(border < 0).any(axis=1)] = -1
-        return border
+        """The template's border, see ``measures.border_of``; vertices in their order here."""
+        return border_of(self.faces, self.vertex_count)
 
     @cached_property
     def edge_length(self) -> float:
         """Mean length of the template's edges, cube units."""
-        ends = self.template[self.edges.numpy()]
-        return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
+        return mean_edge_length(self.template, self.edges.numpy())
 
-    @cached_property
-    def _local_shape(self) -> np.ndarray:
-        """Spacing, thickness and area of every frame, shape (3, T)."""
-        from scipy.spatial import cKDTree
+    # What are tasks of their own, (first, last): on CUDA all together.
 
-        cloud, first = self.cloud.numpy().astype(np.float64), self.cloud_first
-        found = []
-        for a, b in zip(first[:-1], first[1:], strict=True):
-            distance, index = cKDTree(cloud[a:b]).query(cloud[a:b], k=min(_NEIGHBOURS, b - a))
-            near = cloud[a:b][index]
-            near -= near.mean(axis=1, keepdims=True)
-            spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near))
-            thin, wide = np.sqrt(np.maximum(np.median(spread[:, :2], axis=0), 0.0))
-            # As many points stand for the disc to the last neighbour as lie inside it.
-            area = np.pi * (distance[:, -1] ** 2).sum() / max(distance.shape[1] - 1, 1)
-            found.append((distance[:, 1].mean(), thin / max(wide, 1e-12), area))
-        return np.array(found).T
+    def frame_spans(self) -> list[tuple[int, int]]:
+        """Of frames."""
+        return self.way.cut(self.frame_count)
+
+    def transition_spans(self) -> list[tuple[int, int]]:
+        """Of transitions."""
+        return self.way.cut(len(self.transitions))
+
+    def vertex_spans(self) -> list[tuple[int, int]]:
+        """Of vertices, each in all frames."""
+        return self.way.cut(self.vertex_count, VERTICES_PER_TASK)
 
     def by_frame(self, a: np.ndarray) -> list[np.ndarray]:
         """Rows of all clouds, (N, 3), as float64 by frame."""
-        return np.split(a.astype(np.float64), self.cloud_first[1:-1])
+        return np.split(a.astype(np.float64), self.cloud_offsets[1:-1])
 
     @property
     def vertex_count(self) -> int:
@@ -185,6 +156,11 @@ class Problem:
         return wp.array(np.ascontiguousarray(a, dtype=np.float32), dtype=wp.float32, device=self.device)
 
 
-def _first(sizes: np.ndarray) -> np.ndarray:
+def _offsets(sizes: np.ndarray) -> np.ndarray:
     """Where each of the runs of these sizes begins, and where the last ends."""
     return np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+
+
+def span(offsets: np.ndarray, first: int, last: int) -> tuple[int, int]:
+    """Begin and count of the elements of runs ``first .. last``."""
+    return int(offsets[first]), int(offsets[last] - offsets[first])

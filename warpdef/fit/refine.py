@@ -27,7 +27,8 @@ import numpy as np
 import warp as wp
 
 from warpdef.config import RefineConfig
-from warpdef.fit.objective import VERTICES_PER_TASK, Objective, span, spans
+from warpdef.fit.objective import Objective
+from warpdef.fit.problem import span
 from warpdef.fit.recover import Cloud, recover
 from warpdef.fit.sobolev import SolveReport, note_solve
 from warpdef.fit.workers import Iteration, Phase, Team
@@ -74,21 +75,21 @@ class Refinement:
         self._normals = wp.zeros((frames, count), dtype=wp.vec3, device=device)
         self._rotation = wp.zeros((frames, count), dtype=wp.mat33, device=device)
         self._matrix = wp.zeros((frames, count), dtype=wp.mat33, device=device)
-        # The adjoints of the grid stage are done with; their memory serves again.
-        self._pull, self._move = objective.adj_chamfer, objective.adj_isometry
+        borrow = p.pool.borrower()
+        self._pull, self._move = (borrow(wp.vec3, (frames, count)) for _ in range(2))
         self._rest = wp.clone(objective.vertices[p.transitions.keyframe])
         self._shape_pull, self._shape = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
         c = self.config
         self._solver = BlockSolver(p.mesh, frames, c.tolerance, c.iterations_max, device)
         stiff = replace(p.mesh, weight=np.array([c.shape_smoothness], dtype=np.float32))
         self._shape_solver = ConjugateGradients(stiff, wp.vec3, _SHAPE_TOLERANCE, _SHAPE_ITERATIONS, device)
-        self.noise = _noise(p.thickness, c)
+        self.noise = _noise(p.measures.thickness, c)
         self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
         self._lay_pairs()
         self._lay_borders()
         self._lay_times()
         # Where an incomplete frame shows nothing, its mesh is a guess from the shape: asked only if no frame shows all.
-        self._telling = p.integers(np.flatnonzero(p.complete | ~p.complete.any()))
+        self._telling = p.integers(np.flatnonzero(p.measures.complete | ~p.measures.complete.any()))
         self.solves = SolveReport("block cg")
         # Whether a frame's normals were given sides by the mesh; this and the next belong to the state: on the device.
         self._doubtful = p.integers(~p.oriented)
@@ -109,21 +110,23 @@ class Refinement:
         """Pairs met by vertices, and those asked for by cloud points."""
         p, o, c = self.problem, self.objective, self.config
         share = max(1.0 - self.noise, 0.0)
-        pairing = (c.agreement * share, share, p.numbers(c.reach * p.spacing))
+        pairing = (c.agreement * share, share, p.numbers(c.reach * p.measures.spacing))
         mesh, cloud = (o.vertices.flatten(), self._normals.flatten()), (p.cloud, p.normals)
-        self._met = pairs_of(pairing, *mesh, p.vertex_frame, o.vertex_to_cloud.index, *cloud, o.vertex_sides)
-        self._asked = pairs_of(pairing, *mesh, p.cloud_frame, o.cloud_to_vertex.index, *cloud)
+        self._met = pairs_of(
+            pairing, *mesh, p.vertex_frame, o.transform.correspondences.forth.index, *cloud, o.transform.sides
+        )
+        self._asked = pairs_of(pairing, *mesh, p.cloud_frame, o.transform.correspondences.back.index, *cloud)
 
     def _lay_borders(self) -> None:
         p, self._border = self.problem, None
         if p.border is not None:
             border = wp.array(p.border.astype(np.int32), dtype=wp.int32, ndim=2, device=p.device)
-            self._border, self._border_gap = border, p.numbers(_BORDER_GAP * p.spacing)
+            self._border, self._border_gap = border, p.numbers(_BORDER_GAP * p.measures.spacing)
 
     def _lay_times(self) -> None:
         """From which frames the unseen part of an incomplete one is expected: those around it, if there are two."""
         p, self._expected = self.problem, None
-        if p.complete.all() or p.frame_count < 3:
+        if p.measures.complete.all() or p.frame_count < 3:
             return
         t = np.arange(p.frame_count)
         near, far = t - 1, t + 1
@@ -131,7 +134,7 @@ class Refinement:
         between = np.ones(p.frame_count)
         between[[0, -1]] = 0
         # A guess from guesses is none: one of the frames around must show all, at either end the nearer one.
-        held = ~p.complete & (p.complete[near] | (p.complete[far] & (between == 1)))
+        held = ~p.measures.complete & (p.measures.complete[near] | (p.measures.complete[far] & (between == 1)))
         self._times = p.integers(near), p.integers(far), p.integers(between)
         self._hold = p.numbers(np.where(held, _HOLD, 0.0))
         if held.any():
@@ -149,17 +152,17 @@ class Refinement:
         everything = p.frame_count * p.vertex_count
         fit_rotations(0, everything, self._row, self._column, self._rest, o.vertices, self._rotation)
         vertex_normals(0, everything, self._faces, self._face_row, self._face_of, o.vertices, self._normals)
-        o.vertex_grid.build()
-        o.cloud_to_vertex.run()
+        o.transform.correspondences.grid.build()
+        o.transform.correspondences.back.run()
         self._choose_sides()
 
     def _choose_sides(self) -> None:
         """Turn normals over to the mesh's side, in frames of unknown side and where too many given ones oppose it."""
         p = self.problem
         normals = p.normals.numpy()
-        facing = self._normals.numpy().reshape(-1, 3)[self.objective.cloud_to_vertex.index.numpy()]
+        facing = self._normals.numpy().reshape(-1, 3)[self.objective.transform.correspondences.back.index.numpy()]
         opposed = (normals * facing).sum(axis=1) < 0
-        share = np.add.reduceat(opposed, p.cloud_first[:-1]) / p.cloud_sizes
+        share = np.add.reduceat(opposed, p.cloud_offsets[:-1]) / p.cloud_sizes
         # A few always do: between two surfaces that touch, the nearest vertex may belong to the other one.
         doubtful = ~p.oriented | (share > _OPPOSED_MAX)
         self._doubtful.assign(doubtful.astype(np.int32))
@@ -180,7 +183,7 @@ class Refinement:
         points, normals = p.by_frame(p.cloud.numpy()), p.by_frame(self._given_normals)
         clouds = [Cloud(*frame) for frame in zip(points, normals, p.oriented, self._doubtful.numpy() == 0, strict=True)]
         # Of an incomplete frame what is seen need not hang together: it says nothing of limbs lost.
-        judged = np.flatnonzero(p.complete | (np.arange(p.frame_count) == p.transitions.keyframe))
+        judged = np.flatnonzero(p.measures.complete | (np.arange(p.frame_count) == p.transitions.keyframe))
         chosen, keyframe = vertices[judged], int(np.searchsorted(judged, p.transitions.keyframe))
         recovered, lost = recover(chosen, [clouds[t] for t in judged], p.faces, p.edges.numpy(), keyframe)
         vertices[judged] = chosen
@@ -234,21 +237,19 @@ class Refinement:
 
     def as_dict(self) -> dict:
         """Plain values for ``report.json``."""
-        thickness = self.problem.thickness
+        thickness = self.problem.measures.thickness
         measured = {"thickness": thickness, "noise": self.noise, "rigidity": self.rigidity}
-        return {"rounds": self.done, **measured, "frames_partial": int((~self.problem.complete).sum())}
+        return {"rounds": self.done, **measured, "frames_partial": int((~self.problem.measures.complete).sum())}
 
     # Tasks.
 
     def _fit_frames(self, first: int, last: int) -> None:
         p, o, c = self.problem, self.objective, self.config
         begin, count = first * p.vertex_count, (last - first) * p.vertex_count
-        met_begin, met_count = span(p.cloud_first, first, last)
+        met_begin, met_count = span(p.cloud_offsets, first, last)
         mesh = (self._row, self._column)
         vertex_normals(begin, count, self._faces, self._face_row, self._face_of, o.vertices, self._normals)
-        o.vertex_grid.build(first, last)
-        o.vertex_to_cloud.run(begin, count)
-        o.cloud_to_vertex.run(met_begin, met_count)
+        o.transform.correspondences.find((first, last), (first, last))
 
         sums = (self._matrix.flatten(), self._pull.flatten())
         vertex_planes(begin, count, self._met, *sums)
@@ -279,9 +280,8 @@ class Refinement:
         blend(c.shape_step, self._shape_pull, self._rest)
 
     def _phases(self) -> list[Phase]:
-        p, cpu = self.problem, self.problem.device.is_cpu
-        frames = spans(p.frame_count, 1 if cpu else None)
-        runs = spans(p.vertex_count, VERTICES_PER_TASK if cpu else None)
+        p = self.problem
+        frames, runs = p.frame_spans(), p.vertex_spans()
         phases: list[tuple[str, list[Callable[[], None]]]] = [
             ("frames", [partial(self._fit_frames, a, b) for a, b in frames]),
             ("edges", [partial(self._ask_frames, a, b - a) for a, b in runs]),

@@ -1,0 +1,52 @@
+"""Which way work goes on a device: in serial spans, or whole. The one place that decides it.
+
+The CPU runs a launch as one serial loop, so work is cut into spans, which threads share; what a span adds up it adds
+alone, in order. CUDA takes a launch over everything, one thread an element, and adds up atomically. Whatever has two
+forms asks here once, when it is built. The CPU can go CUDA's way, too, which is how that way is tested without CUDA.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import Enum
+
+import warp as wp
+
+
+class Way(Enum):
+    """SPANS: serial spans, a task each. WHOLE: one launch over everything."""
+
+    SPANS = "spans"
+    WHOLE = "whole"
+
+    def cut(self, total: int, size: int = 1) -> list[tuple[int, int]]:
+        """``0 .. total`` as spans (first, last) that are tasks of their own: of ``size``, or one over everything."""
+        if self is Way.WHOLE:
+            size = max(total, 1)
+        return [(a, min(a + size, total)) for a in range(0, total, size)]
+
+
+_forced: Way | None = None
+
+
+def way_of(device: wp.Device) -> Way:
+    """The CPU's or CUDA's; inside ``going`` the one that was asked for."""
+    return _forced or (Way.SPANS if device.is_cpu else Way.WHOLE)
+
+
+@contextmanager
+def going(way: Way) -> Iterator[None]:
+    """Let everything built in the block go this way. CUDA goes no other way than its own.
+
+    Raises:
+        ValueError: spans where the device at hand is CUDA's.
+    """
+    global _forced
+    if way is Way.SPANS and not wp.get_device().is_cpu:
+        raise ValueError("way: expected WHOLE on a CUDA device, got SPANS, which is the CPU's")
+    outer, _forced = _forced, way
+    try:
+        yield
+    finally:
+        _forced = outer

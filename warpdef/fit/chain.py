@@ -1,0 +1,65 @@
+"""The template's vertices on their way from the keyframe to all frames, and their gradients on the way back."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from warpdef.fit.problem import Problem
+from warpdef.kernels.levels import node8
+from warpdef.kernels.motion import adj_move_vertices, move_vertices, scatter_vertices
+
+
+class Chain:
+    """Vertices of all frames, shape (T, V), cube units, Morton order; moved by the transitions one after the other.
+
+    Args:
+        nodes, adj_nodes: shape (S, M) node8, the optimiser's: read, and added to.
+
+    carry: shape (T + 1, V), the gradient that reaches a frame from those beyond it. Row T is the backward chain's at
+    the keyframe, which two chains reach.
+    """
+
+    def __init__(self, problem: Problem, nodes: wp.array, adj_nodes: wp.array) -> None:
+        p = self._problem = problem
+        self.nodes, self._adj_nodes = nodes, adj_nodes
+        self.levels = p.levels.to_device(p.device)
+        frames, transitions, count = p.frame_count, len(p.transitions), p.vertex_count
+        self.vertices, self.carry, self.rotation = p.pool.own(
+            "chain", wp.vec3, (frames, count), (frames + 1, count), (transitions, count)
+        )
+        (self.jacobian,) = p.pool.own("chain", wp.mat33, (transitions, count))
+        (self.adj_motion,) = p.pool.own("chain", node8, (transitions, count))
+        self.vertices.assign(np.tile(p.template.astype(np.float32), (frames, 1, 1)))
+
+    def move(self, begin: int, count: int) -> None:
+        """Vertices ``begin .. begin + count`` from the keyframe to both ends."""
+        ends = self._problem.transitions
+        for s in (*ends.forward, *ends.backward):
+            self.move_one(s, begin, count)
+
+    def move_one(self, transition: int, begin: int, count: int) -> None:
+        """The same vertices over one transition, from its source to its target."""
+        ends = self._problem.transitions
+        source, target = int(ends.source[transition]), int(ends.target[transition])
+        places = (self.vertices, self.rotation, self.jacobian)
+        move_vertices(begin, count, transition, source, target, self.nodes, self.levels, *places)
+
+    def adj_move(self, begin: int, count: int, confidence: wp.array, weighed: wp.array, plain: wp.array) -> None:
+        """Adjoint of ``move`` from the sums of the terms' gradients: six numbers a vertex and transition, and carry."""
+        ends, spare = self._problem.transitions, self._problem.frame_count
+        for transitions in (ends.forward, ends.backward):
+            for s in reversed(transitions):
+                source, target = int(ends.source[s]), int(ends.target[s])
+                to = spare if source == ends.keyframe and transitions is ends.backward else source
+                adj_move_vertices(
+                    begin, count, s, source, target, target, to, self.vertices, self.rotation, self.jacobian,
+                    confidence, weighed, plain, self.carry, self.adj_motion,
+                )  # fmt: skip
+
+    def scatter(self, first: int, last: int) -> None:
+        """Add what ``adj_move`` left to the nodes of transitions ``first .. last``."""
+        p = self._problem
+        for s in range(first, last):
+            source = int(p.transitions.source[s])
+            scatter_vertices(0, p.vertex_count, s, source, self.levels, self.vertices, self.adj_motion, self._adj_nodes)

@@ -1,0 +1,81 @@
+"""What is measured on clouds and template before a fit: spacing, thickness, what a frame shows, where a mesh ends."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+_NEIGHBOURS = 16  # of a point, for the local shape of its cloud
+COMPLETE = 0.87
+"""Share of the largest frame's area from which a cloud shows all of the surface; whole bodies in motion keep 0.9."""
+COMPLETE_TEMPLATE = 0.7
+"""Share of the template's area that it must have as well; thin limbs and few points cost whole bodies up to 0.24."""
+_JUDGED = 100  # points from which a cloud's area says something
+
+
+class CloudMeasures:
+    """The local shape of the clouds of T frames, and which of them show all of a surface.
+
+    Args:
+        clouds: T arrays (N_t, 3) float64. surface_area: of the template, in the square of their unit.
+    """
+
+    def __init__(self, clouds: list[np.ndarray], surface_area: float) -> None:
+        self._clouds, self._surface_area = clouds, surface_area
+
+    @cached_property
+    def spacing(self) -> np.ndarray:
+        """Mean distance of a cloud's points to their nearest fellow, shape (T,)."""
+        return self._local_shape[0]
+
+    @cached_property
+    def thickness(self) -> float:
+        """Thickness over width of the clouds' neighbourhoods, median over points, then frames: what noise adds to."""
+        return float(np.median(self._local_shape[1]))
+
+    @cached_property
+    def complete(self) -> np.ndarray:
+        """Which frames show all of the surface, by their area, shape (T,) bool."""
+        area, whole = self._local_shape[2], self._surface_area
+        # Noise adds to a cloud's area: what exceeds the template's says nothing.
+        least = max(COMPLETE * min(area.max(), whole), COMPLETE_TEMPLATE * whole)
+        return (area >= least) | (np.array([len(c) for c in self._clouds]) < _JUDGED)
+
+    @cached_property
+    def _local_shape(self) -> np.ndarray:
+        """Spacing, thickness and area of every frame, shape (3, T)."""
+        from scipy.spatial import cKDTree
+
+        found = []
+        for cloud in self._clouds:
+            distance, index = cKDTree(cloud).query(cloud, k=min(_NEIGHBOURS, len(cloud)))
+            near = cloud[index]
+            near -= near.mean(axis=1, keepdims=True)
+            spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near))
+            thin, wide = np.sqrt(np.maximum(np.median(spread[:, :2], axis=0), 0.0))
+            # As many points stand for the disc to the last neighbour as lie inside it.
+            area = np.pi * (distance[:, -1] ** 2).sum() / max(distance.shape[1] - 1, 1)
+            found.append((distance[:, 1].mean(), thin / max(wide, 1e-12), area))
+        return np.array(found).T
+
+
+def border_of(faces: np.ndarray, vertex_count: int) -> np.ndarray | None:
+    """Border vertices' neighbours before and after on the border, and one inside; -1 elsewhere. (V, 3).
+
+    None for a closed mesh. A vertex at which several borders meet has neighbours of one of them.
+    """
+    a, b, c = (np.roll(faces, -k, axis=1).ravel().astype(np.int64) for k in range(3))
+    alone = ~np.isin(a * vertex_count + b, b * vertex_count + a)
+    if not alone.any():
+        return None
+    border = np.full((vertex_count, 3), -1)
+    border[a[alone], 1], border[a[alone], 2], border[b[alone], 0] = b[alone], c[alone], a[alone]
+    border[(border < 0).any(axis=1)] = -1
+    return border
+
+
+def mean_edge_length(vertices: np.ndarray, edges: np.ndarray) -> float:
+    """Of vertices (V, 3) and edges (E, 2), in the vertices' unit."""
+    ends = vertices[edges]
+    return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())

@@ -1,0 +1,233 @@
+"""The terms of the objective: a class each, with its buffers, its tasks, its loss and the gradient of it.
+
+A term on the template's vertices adds the gradient of its weighted loss to one of two sums over all such terms, each of
+shape (T, V): ``weighed``, which the confidence of a frame weighs, or ``plain``. Its tasks are spans of frames or spans
+of vertices over all frames. A new one is a kernel, a class here that ``vertex_terms`` names, and its weight in
+``config.LossConfig``. The input term moves points of its own, and adds to the nodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+import warp as wp
+
+from warpdef.fit.chain import Chain
+from warpdef.fit.correspondences import Correspondences
+from warpdef.fit.problem import Problem
+from warpdef.kernels.cells import PointGrid
+from warpdef.kernels.chamfer import BOTH_SIDES, fixed_to_moving, moving_to_fixed
+from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
+from warpdef.kernels.motion import adj_move_points, move_points
+from warpdef.kernels.vectors import clear_losses
+from warpdef.kernels.ways import Way
+
+# How far apart a point and its partner's partner may be where a cloud shows part of the surface (``chamfer``): about as
+# far as on a surface that both sets cover. Twice that, and the rim of what is seen draws the unseen over, bit by bit.
+_REACH_SPACINGS = 1.0
+_REACH_EDGES = 0.25
+_REACH_CLOUDS = 0.75
+
+
+Spans = Literal["frames", "vertices"]
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Gradients of all terms on vertices, added up, each shape (T, V) vec3: weighed by the confidence, and as it is."""
+
+    weighed: wp.array
+    plain: wp.array
+
+
+class VertexTerm(Protocol):
+    """A loss on the vertices of all frames.
+
+    spans: what a task of it covers: ``frames`` (first, last), or ``vertices`` (first, last) in all frames.
+    weighed: whether the confidence weighs it; says which of the sums ``run`` adds to.
+    """
+
+    spans: Spans
+    weighed: bool
+
+    def moved(self, first: int, last: int) -> None:
+        """Vertices ``first .. last`` have been moved, in all frames, by this task: what else there is to lay out."""
+
+    def run(self, first: int, last: int) -> None:
+        """Loss of a span, anew, and its gradient, added."""
+
+    def losses(self, confidence: np.ndarray) -> dict[str, float]:
+        """Weighted, as it enters the objective, by the names under which it is told."""
+        ...
+
+
+def vertex_terms(problem: Problem, chain: Chain, sums: Sums) -> list[VertexTerm]:
+    """All terms on vertices but the transform term, which others ask for by name."""
+    return [IsometryTerm(problem, chain, sums.plain)]
+
+
+class InputTerm:
+    """Robust Chamfer distance between a moved cloud and the next one, a loss a transition.
+
+    loss: unweighted, shape (S,) float64. rotation, points: of the moved clouds, (N,) vec3. adj_points: their gradient.
+    """
+
+    def __init__(self, problem: Problem, clouds: PointGrid, chain: Chain, adj_nodes: wp.array) -> None:
+        p, config = problem, problem.config.loss
+        self._problem, self._chain, self._adj_nodes = p, chain, adj_nodes
+        transitions, ends = len(p.transitions), p.transitions
+        self.rotation, self.points, self.adj_points = p.pool.own("input term", wp.vec3, *[len(p.origin)] * 3)
+        (self.loss,) = p.pool.own("input term", wp.float64, transitions)
+        self.correspondences = Correspondences(
+            p, clouds, self.points, p.moved_sizes, p.moved_target, p.cloud_transition
+        )
+        self._factor = config.input_weight / transitions
+        self._weight = p.numbers(np.full(transitions, self._factor))
+        self._robust = (config.robust_alpha, config.robust_power, config.tangential)
+        self._shares = _shares(p, p.moved_sizes), _shares(p, p.cloud_sizes[ends.target])
+        measures, searches = p.measures, self.correspondences
+        self._sides = BOTH_SIDES, BOTH_SIDES
+        if not measures.complete.all():
+            reach = _REACH_CLOUDS * (measures.spacing[ends.source] + measures.spacing[ends.target])
+            self._sides = (
+                (searches.back.index, _one_sided(p, reach, ends.target)),
+                (searches.forth.index, _one_sided(p, reach, ends.source)),
+            )
+
+    def run(self, first: int, last: int) -> None:
+        """Move the clouds of transitions ``first .. last``, compare, and leave the gradient in their nodes."""
+        p, c = self._problem, self.correspondences
+        groups, frames = (first, last), p.transitions.targets(first, last)
+        (begin, count), (met_begin, met_count) = c.spans(groups, frames)
+        chain = self._chain
+        clear_losses(first, last - first, self.loss)
+        move_points(begin, count, chain.nodes, chain.levels, p.origin, p.moved_transition, self.rotation, self.points)
+        c.find(groups, frames)
+        results = (self._weight, self._robust, self.loss, self.adj_points)
+        moving_to_fixed(
+            begin, count, self.points, p.moved_transition, c.forth.index, p.cloud, p.normals,
+            self._shares[0], *results, self._sides[0],
+        )  # fmt: skip
+        fixed_to_moving(
+            met_begin, met_count, p.cloud, p.normals, p.cloud_transition, c.back.index, self.points,
+            self._shares[1], *results, self._sides[1],
+        )  # fmt: skip
+        adj_move_points(
+            begin, count, chain.levels, p.origin, p.moved_transition, self.rotation, self.adj_points, self._adj_nodes
+        )
+
+    def losses(self) -> dict[str, float]:
+        """As it enters the objective."""
+        return {"input": self._problem.config.loss.input_weight * float(self.loss.numpy().sum()) / len(self.loss)}
+
+
+class TransformTerm:
+    """Robust Chamfer distance between the vertices of a frame and its cloud; at the keyframe it is the mesh term.
+
+    loss: unweighted, shape (T,) float64. correspondences: vertices and clouds, a group a frame.
+    sides: which pairs of a vertex with its nearest point count (``chamfer``).
+    """
+
+    spans: Spans = "frames"
+    weighed = True
+
+    def __init__(self, problem: Problem, clouds: PointGrid, chain: Chain, adjoint: wp.array) -> None:
+        p, config = problem, problem.config.loss
+        self._problem, self._vertices, self._adjoint = p, chain.vertices.flatten(), adjoint.flatten()
+        frames = p.frame_count
+        sizes = np.full(frames, p.vertex_count)
+        self.correspondences = Correspondences(p, clouds, self._vertices, sizes, p.vertex_frame, p.cloud_frame)
+        (self.loss,) = p.pool.own("transform term", wp.float64, frames)
+        self._factors = np.full(frames, config.transform_weight / len(p.transitions))
+        self._factors[p.transitions.keyframe] = config.mesh_weight
+        self._weight = p.numbers(self._factors)
+        self._robust = (config.robust_alpha, config.robust_power, config.tangential)
+        self._shares = _shares(p, sizes), _shares(p, p.cloud_sizes)
+        measures = p.measures
+        self.sides = BOTH_SIDES
+        if not measures.complete.all():
+            reach = _REACH_SPACINGS * measures.spacing + _REACH_EDGES * p.edge_length
+            self.sides = self.correspondences.back.index, _one_sided(p, reach, np.arange(frames))
+
+    def moved(self, first: int, last: int) -> None:
+        """Nothing."""
+
+    def run(self, first: int, last: int) -> None:
+        """Compare the vertices of frames ``first .. last`` with their clouds."""
+        p, c = self._problem, self.correspondences
+        (begin, count), (met_begin, met_count) = c.spans((first, last), (first, last))
+        clear_losses(first, last - first, self.loss)
+        c.find((first, last), (first, last))
+        results = (self._weight, self._robust, self.loss, self._adjoint)
+        moving_to_fixed(
+            begin, count, self._vertices, p.vertex_frame, c.forth.index, p.cloud, p.normals,
+            self._shares[0], *results, self.sides,
+        )  # fmt: skip
+        fixed_to_moving(
+            met_begin, met_count, p.cloud, p.normals, p.cloud_frame, c.back.index, self._vertices,
+            self._shares[1], *results,
+        )  # fmt: skip
+
+    def losses(self, confidence: np.ndarray) -> dict[str, float]:
+        """The keyframe's, and those of all other frames."""
+        p, config = self._problem, self._problem.config.loss
+        key, loss = p.transitions.keyframe, self.loss.numpy() * confidence
+        others = float(np.delete(loss, key).sum()) / len(p.transitions)
+        return {"mesh": config.mesh_weight * float(loss[key]), "transform": config.transform_weight * others}
+
+
+class IsometryTerm:
+    """Change of edge lengths from frame to frame, mean over edges and transitions.
+
+    loss: unweighted, shape (parts, T) float64, a part a task, to be summed over parts.
+    """
+
+    spans: Spans = "vertices"
+    weighed = False
+
+    def __init__(self, problem: Problem, chain: Chain, adjoint: wp.array) -> None:
+        p = self._problem = problem
+        self._vertices, self._adjoint = chain.vertices, adjoint
+        self._factor, self._share = p.config.loss.isometry_weight, 1.0 / (len(p.transitions) * len(p.edges))
+        parts = p.vertex_spans()
+        self._part = {first: part for part, (first, _) in enumerate(parts)}
+        (self.loss,) = p.pool.own("isometry term", wp.float64, (len(parts), p.frame_count))
+        self._by_vertex = p.way is Way.SPANS
+        if self._by_vertex:
+            shape = (p.vertex_count, 3, path_width(p.frame_count))
+            (self._paths,) = p.pool.own("isometry term", wp.float32, shape)
+            self._mesh = p.integers(p.mesh.row), p.integers(p.mesh.column)
+
+    def moved(self, first: int, last: int) -> None:
+        """Lay the paths of these vertices, which a register reads sixteen frames at a time."""
+        if self._by_vertex and self._factor:
+            lay_paths(first, last - first, self._vertices, self._paths)
+
+    def run(self, first: int, last: int) -> None:
+        """Compare the edges around vertices ``first .. last``, or all edges, in all frames."""
+        if not self._factor:
+            return
+        p, part, flat = self._problem, self._part[first], self.loss.flatten()
+        clear_losses(part * p.frame_count, p.frame_count, flat)
+        factors = (self._share, self._factor)
+        if self._by_vertex:
+            results = (part, self.loss, self._adjoint)
+            isometry_of_vertices(first, last - first, self._paths, *self._mesh, *factors, *results)
+            return
+        isometry(0, p.frame_count * len(p.edges), self._vertices, p.edges, *factors, flat, self._adjoint)
+
+    def losses(self, confidence: np.ndarray) -> dict[str, float]:
+        """As it enters the objective."""
+        return {"isometry": self._factor * float(self.loss.numpy().sum())}
+
+
+def _shares(p: Problem, sizes: np.ndarray) -> wp.array:
+    """Factor of a point's residual by slot, for a mean over points or a sum."""
+    return p.numbers(1.0 / sizes if p.config.loss.reduction == "mean" else np.ones(len(sizes)))
+
+
+def _one_sided(p: Problem, reach: np.ndarray, answered_by: np.ndarray) -> wp.array:
+    """Reach by slot; infinite, so that every pair counts, where the answering frame shows all of the surface."""
+    return p.numbers(np.where(p.measures.complete[answered_by], np.inf, reach))
