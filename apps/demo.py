@@ -14,10 +14,12 @@ from cyclopts.validators import Number
 from warpdef.apps.config_flags import resolve_config
 from warpdef.apps.console import ProgressDisplay, clean_stdout, print_json, say
 from warpdef.apps.evaluate import evaluate_run
-from warpdef.apps.exit_codes import EXIT_INTERRUPTED, EXIT_OK
+from warpdef.apps.exit_codes import EXIT_OK
 from warpdef.apps.metric_tables import print_means
 from warpdef.apps.reconstruct import RunOptions, finish, run_to_folder
 from warpdef.apps.run_summary import print_summary
+from warpdef.apps.signals import exit_code
+from warpdef.progress import held_interrupts
 
 if TYPE_CHECKING:
     from warpdef.mesh import MeshSequence
@@ -63,17 +65,18 @@ def demo(
     if overwrite:
         remove_own_input(output, truth, clouds)
     run = run_to_folder(clouds, output, config, RunOptions(device, threads, overwrite))
-    write_input(run.path, truth, clouds)
-    if not json:
-        print_summary(run.result, run.path)
-    code = finish(run)
+    with held_interrupts():  # as for ``reconstruct``
+        write_input(run.path, truth, clouds)
+        if not json:
+            print_summary(run.result, run.path)
+        code = finish(run)
     if code != EXIT_OK:
         return code
     try:
         metrics = evaluate_run(load_run(run.path), truth)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as ended:
         say(f"warpdef: interrupted while evaluating: the result is in {run.path}")
-        return EXIT_INTERRUPTED
+        return exit_code(ended)
     if json:
         print_json({"report": run.result.report, "metrics": metrics})
     else:

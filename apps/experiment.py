@@ -12,7 +12,8 @@ from cyclopts.validators import Number
 
 from warpdef.apps.config_flags import ConfigFlags, resolve_config
 from warpdef.apps.console import clean_stdout, print_json, say
-from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_INTERRUPTED, EXIT_OK
+from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_OK
+from warpdef.apps.signals import exit_code
 from warpdef.errors import InputError
 
 if TYPE_CHECKING:
@@ -110,9 +111,9 @@ def experiment(
                 say=say,
                 after_each=lambda outcome: write_report(table, outcome, output, command),
             )
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as ended:
             say(f"warpdef: interrupted: finished runs are kept in {output}; the same command goes on from there")
-            return EXIT_INTERRUPTED
+            return exit_code(ended)
         rows = write_report(table, outcome, output, command)
         if plot and rows:
             draw(table, rows, output / f"{name}.png")

@@ -14,7 +14,8 @@ import cyclopts
 from cyclopts import App
 
 from warpdef import __version__
-from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_INTERRUPTED, EXIT_OK
+from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_OK
+from warpdef.apps.signals import Ended, ending_signals, exit_code
 from warpdef.apps.streams import guarded_streams, open_missing_descriptors
 from warpdef.errors import WarpdefError
 
@@ -44,7 +45,8 @@ def build_app(called: str = "") -> App:
         name="warpdef",
         version=__version__,
         help="From a sequence of raw point clouds to one mesh that moves.",
-        help_epilogue="Exit codes: 0 done, 2 bad input or usage, 130 interrupted. "
+        help_epilogue="Exit codes: 0 done, 2 bad input or usage, 128 and the signal's number interrupted "
+        "(130 Ctrl-C, 143 SIGTERM, 129 SIGHUP). "
         f"{TRACEBACK_VARIABLE}=1 shows tracebacks.",
         suppress_keyboard_interrupt=False,
     )
@@ -62,7 +64,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     anything else is a defect of ours and keeps its traceback.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
-    with guarded_streams() as shown:
+    with guarded_streams() as shown, ending_signals():
         code = _run(arguments)
         shown.flush()
         if shown.lost is not None:
@@ -83,11 +85,11 @@ def _run(arguments: Sequence[str]) -> int:
             raise
         _say(f"error: {_one_line(error)}")
         return EXIT_ERROR
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as ended:
         if tracebacks:
             raise
-        _say("interrupted: nothing was written")
-        return EXIT_INTERRUPTED
+        _say(f"interrupted{f' by {ended}' if isinstance(ended, Ended) else ''}: nothing was written")
+        return exit_code(ended)
     return code if isinstance(code, int) else EXIT_OK
 
 

@@ -14,10 +14,12 @@ from cyclopts.validators import Number
 
 from warpdef.apps.config_flags import ConfigFlags, resolve_config
 from warpdef.apps.console import ProgressDisplay, Stopwatch, clean_stdout, print_json, say
-from warpdef.apps.exit_codes import EXIT_INTERRUPTED, EXIT_LOST, EXIT_OK
+from warpdef.apps.exit_codes import EXIT_LOST, EXIT_OK
 from warpdef.apps.run_summary import print_summary
+from warpdef.apps.signals import exit_code, interruption
 from warpdef.config import Config, parse_slice
 from warpdef.errors import InputError, WarpdefError
+from warpdef.progress import held_interrupts
 from warpdef.quality.verdict import LOST
 
 if TYPE_CHECKING:
@@ -82,11 +84,12 @@ def reconstruct(
         if preset != "default" or config is not None or flags is not None:
             raise InputError("--resume goes on with the configuration of that run; leave out all flags that change it")
         run = resume_to_folder(resume, input, output, how)
-    if json:
-        print_json(run.result.report)
-    else:
-        print_summary(run.result, run.path)
-    return finish(run, strict)
+    with held_interrupts():  # the result is whole: what ends the program now must not say that nothing was written
+        if json:
+            print_json(run.result.report)
+        else:
+            print_summary(run.result, run.path)
+        return finish(run, strict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -204,18 +207,19 @@ def run_to_folder(
                 result.report["seconds"] = {"load": loading, **inner, "write": watch.lap(), "total": total.lap()}
                 return result.report
 
-            path = folder.save(
-                vertices=result.vertices,
-                faces=result.faces,
-                keyframe=result.keyframe,
-                config=dataclasses.replace(result.config, frames=config.frames),
-                report=report,
-                steps=result.steps,
-                names=sequence.frame_names,
-                motion=result.motion,
-                appearance=result.appearance if saved is None else _look_of_template(result),
-                confidence=result.confidence,
-            )
+            with held_interrupts():  # a result that is there is written
+                path = folder.save(
+                    vertices=result.vertices,
+                    faces=result.faces,
+                    keyframe=result.keyframe,
+                    config=dataclasses.replace(result.config, frames=config.frames),
+                    report=report,
+                    steps=result.steps,
+                    names=sequence.frame_names,
+                    motion=result.motion,
+                    appearance=result.appearance if saved is None else _look_of_template(result),
+                    confidence=result.confidence,
+                )
         except BaseException:
             if folder.checkpoint.exists():
                 say(f"warpdef: the last checkpoint is kept; go on with: warpdef reconstruct --resume {output}")
@@ -270,7 +274,9 @@ def finish(run: FinishedRun, strict: bool = False) -> int:
     code = EXIT_LOST if strict and LOST in report.get("verdicts", ()) else EXIT_OK
     if not report.get("stopped") and not report["interrupted"]:
         return code
-    why = "interrupted" if report["interrupted"] else f"stopped ({report['stopped']})"
+    signal = report.get("signal") or "SIGINT"
+    by = "" if signal == "SIGINT" else f" by {signal}"
+    why = f"interrupted{by}" if report["interrupted"] else f"stopped ({report['stopped']})"
     more = f"; go on with: warpdef reconstruct --resume {run.path}" if run.resumable else ""
     say(f"warpdef: {why} after {report['iterations']} iterations: the best state is in {run.path}{more}")
-    return EXIT_INTERRUPTED if report["interrupted"] else code
+    return exit_code(interruption(report)) if report["interrupted"] else code

@@ -59,7 +59,8 @@ def reconstruct(
         template: a mesh of your own for the keyframe, input units, its vertex order kept; if not given, the file
             ``config.template.mesh``; if that is empty, a mesh is reconstructed.
         callback: called with a ``Progress`` now and then. Ctrl-C during the optimisation ends it early: the best
-            state so far is returned, with ``report["interrupted"]`` true and ``report["stopped"]`` saying why.
+            state so far is returned, with ``report["interrupted"]`` true and ``report["stopped"]`` saying why. So
+            do SIGTERM and SIGHUP where the program handles them; ``report["signal"]`` is the signal's name.
         safeguards: checkpoints, a run to go on from, limits of time and memory; if not given, only what is free of
             memory is looked at.
 
@@ -114,22 +115,23 @@ def reconstruct(
             # Beyond the paper: every vertex of every frame on its own, and one shape for all frames.
             with clock.phase("refine"):
                 run.refine()
-        vertices = optimiser.objective.placed_vertices()
-        vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces)
-        vertices = float32_where_exact(into.from_cube(vertices))
+            vertices = optimiser.objective.placed_vertices()
+            vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces)
+            vertices = float32_where_exact(into.from_cube(vertices))
 
-        levels = (config.grid.coarsest, config.grid.levels)
-        nodes = optimiser.nodes.numpy()
-        motion = GridMotion.from_nodes(nodes, levels, chosen.keyframe, into, sequence.numbers, sequence.frame_count)
+            levels = (config.grid.coarsest, config.grid.levels)
+            nodes = optimiser.nodes.numpy()
+            motion = GridMotion.from_nodes(nodes, levels, chosen.keyframe, into, sequence.numbers, sequence.frame_count)
 
-    result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=run.steps, motion=motion)
-    result.appearance = None if template is None else template.appearance
-    with clock.phase("assess"):
-        judged = _assess(result, sequence)
-    result.report = _report(sequence, chosen, run, team.size, clock, estimate)
-    result.report["warnings"] += judged.pop("warnings")
-    result.report |= {"interrupted": interruption.asked, "resumed": resumed, **judged}
-    result.report["input"] = {"path": safeguards.notes.get("input", ""), "digests": facts["digests"]}
+            result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=run.steps, motion=motion)
+            result.appearance = None if template is None else template.appearance
+            with clock.phase("assess"):
+                judged = _assess(result, sequence)
+            result.report = _report(sequence, chosen, run, team.size, clock, estimate)
+            result.report["warnings"] += judged.pop("warnings")
+            ended = interruption.signal if run.stopped and interruption.asked else None
+            result.report |= {"interrupted": ended is not None, "signal": ended, "resumed": resumed, **judged}
+            result.report["input"] = {"path": safeguards.notes.get("input", ""), "digests": facts["digests"]}
     return result
 
 

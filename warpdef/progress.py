@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -63,15 +64,21 @@ class Clock:
         return {**self.seconds, name: self.seconds.get(name, 0.0) + time.perf_counter() - start}
 
 
-class Interruption:
-    """Whether Ctrl-C was pressed since ``held_interrupts`` began."""
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that ask a run to end: Ctrl-C, a batch system's, and a closing terminal's."""
 
-    asked = False
+
+@dataclass
+class Interruption:
+    """Whether a run was asked to end since ``held_interrupts`` began, and by the signal of which name."""
+
+    asked: bool = False
+    signal: str = "SIGINT"
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When a run has to end early: by Ctrl-C, or ``seconds_max`` after its clock began."""
+    """When a run has to end early: by Ctrl-C or another signal, or ``seconds_max`` after its clock began."""
 
     interruption: Interruption
     clock: Clock
@@ -85,7 +92,8 @@ class Limits:
     def reason(self, reserve: float = 0.0) -> str:
         """Why to stop now, ``reserve`` seconds before the time is up; empty if there is no reason."""
         if self.interruption.asked:
-            return "interrupted"
+            name = self.interruption.signal
+            return "interrupted" if name == "SIGINT" else f"interrupted by {name}"
         if self.seconds_max is not None and self.seconds + reserve >= self.seconds_max:
             return f"time limit of {self.seconds_max:g} s"
         return ""
@@ -93,27 +101,35 @@ class Limits:
 
 @contextmanager
 def held_interrupts() -> Iterator[Interruption]:
-    """Turn Ctrl-C into a flag for the block, so that no iteration is torn; a second Ctrl-C acts at once.
+    """Turn Ctrl-C into a flag for the block, so that no iteration is torn; a second one acts at once.
 
+    SIGTERM and SIGHUP are held where the program has a handler of its own for them, as the command line has.
     Outside the main thread signals are not ours to hold: there the flag stays down.
     """
     state = Interruption()
     if threading.current_thread() is not threading.main_thread():
         yield state
         return
-    before = signal.getsignal(signal.SIGINT)
+    before = {n: signal.getsignal(n) for n in ENDING}
+    before = {n: handler for n, handler in before.items() if n == signal.SIGINT or callable(handler)}
 
-    def note(number: int, frame: object) -> None:
+    def note(number: int, frame: FrameType | None) -> None:
         if state.asked:
-            signal.signal(signal.SIGINT, before)
+            for n, handler in before.items():
+                signal.signal(n, handler)
+            handler = before[number]
+            if callable(handler):
+                handler(number, frame)
             raise KeyboardInterrupt
-        state.asked = True
+        state.asked, state.signal = True, signal.Signals(number).name
 
-    signal.signal(signal.SIGINT, note)
+    for n in before:
+        signal.signal(n, note)
     try:
         yield state
     finally:
-        signal.signal(signal.SIGINT, before)
+        for n, handler in before.items():
+            signal.signal(n, handler)
 
 
 def peak_memory_mb() -> float:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import warpdef
 from warpdef.apps.experiments.code_version import code_version
+from warpdef.apps.signals import interruption
 from warpdef.config import Config
 from warpdef.errors import InputError, WarpdefError
 
@@ -157,7 +158,7 @@ def execute(run: Run, device: str = "auto", threads: int | None = None, keep: Pa
 
     Raises:
         WarpdefError: the data or the configuration is not usable.
-        KeyboardInterrupt: the optimisation was ended early by Ctrl-C; half a result is none.
+        KeyboardInterrupt: the optimisation was ended early by a signal; half a result is none.
     """
     truth = load_truth(run)
     clouds = _clouds(run, truth)
@@ -167,7 +168,7 @@ def execute(run: Run, device: str = "auto", threads: int | None = None, keep: Pa
     middle = time.perf_counter()
     report = result.report
     if report["interrupted"]:
-        raise KeyboardInterrupt
+        raise interruption(report)
     metrics = warpdef.evaluate(result, truth, samples=run.samples, seed=run.config.seed)
     if keep is not None:
         _keep(keep / run.key, result, clouds.names, metrics)
