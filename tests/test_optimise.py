@@ -170,6 +170,20 @@ def test_during_warm_up_the_template_descends_and_isometry_waits(ellipsoid, devi
     assert run.losses[2]["mesh"] != run.losses[0]["mesh"]
 
 
+def test_frames_far_from_the_keyframe_are_trusted_less(ellipsoid, device: str) -> None:
+    """In the first iteration the template stands still: the farther a frame has turned, the more it is off."""
+    run, blind = (
+        Run(ellipsoid, configured(optimiser={"warmup": 0}, loss={"confidence": c}), device, 1, keyframe=0)
+        for c in (True, False)
+    )
+    o = run.optimiser.objective
+    expected = reference.confidence(o.input.loss.numpy(), o.transform.loss.numpy(), 0, 1.0, False)
+    np.testing.assert_allclose(o.confidence.numpy(), expected, rtol=1e-5)
+    assert expected[-1] < 0.9
+    np.testing.assert_array_equal(blind.optimiser.objective.confidence.numpy(), 1)
+    assert run.losses[0]["transform"] < 0.97 * blind.losses[0]["transform"]
+
+
 def test_preparing_changes_nothing(ellipsoid, device: str) -> None:
     config = configured()
     problem = Problem(
