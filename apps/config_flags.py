@@ -12,7 +12,7 @@ import inspect
 import typing
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -48,8 +48,9 @@ def field_help(module_file: str) -> dict[str, dict[str, str]]:
         if isinstance(node, ast.ClassDef):
             texts = found.setdefault(node.name, {})
             for before, after in zip(node.body, node.body[1:], strict=False):
-                is_text = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-                if isinstance(before, ast.AnnAssign) and isinstance(before.target, ast.Name) and is_text:
+                if not (isinstance(before, ast.AnnAssign) and isinstance(before.target, ast.Name)):
+                    continue
+                if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
                     texts[before.target.id] = inspect.cleandoc(str(after.value.value))
     return found
 
@@ -94,12 +95,15 @@ def _flag_fields() -> list[tuple[str, Any, Any]]:
     return made
 
 
-# Without a module of its own the class would count as built in, and Cyclopts would not look inside it.
-ConfigFlags = Parameter(name="*")(
-    dataclasses.make_dataclass(
-        "ConfigFlags", _flag_fields(), namespace={"__module__": __name__}, frozen=True, kw_only=True
+if TYPE_CHECKING:
+    ConfigFlags = Any  # its fields are made from the configuration when it runs
+else:
+    # Without a module of its own the class would count as built in, and Cyclopts would not look inside it.
+    ConfigFlags = Parameter(name="*")(
+        dataclasses.make_dataclass(
+            "ConfigFlags", _flag_fields(), namespace={"__module__": __name__}, frozen=True, kw_only=True
+        )
     )
-)
 """The flags that were given; the others are None. Use as the type of a command's parameter."""
 
 

@@ -6,6 +6,7 @@ import ctypes.util
 import logging
 import os
 
+import numpy as np
 import warp as wp
 
 from warpdef.errors import DeviceError
@@ -42,6 +43,11 @@ def find_device(name: str) -> wp.Device:
     if wanted not in there:
         raise DeviceError(f"--device: expected one of auto, {', '.join(there)}, got {name}; take one that is there")
     return wp.get_device(wanted)
+
+
+def on_host(array: wp.array) -> np.ndarray:
+    """What ``array.numpy()`` gives, under the type that it has for all our arrays; Warp annotates more."""
+    return array.numpy()
 
 
 def usable_cores() -> int:

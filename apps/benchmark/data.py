@@ -59,7 +59,9 @@ class Source:
 
     @property
     def frames(self) -> int:
-        return len(self.truth if self.truth is not None else self.clouds)
+        given = self.truth if self.truth is not None else self.clouds
+        assert given is not None  # a source has one of the two
+        return len(given)
 
     def retimed(self, span: int, frames: int) -> Source:
         """The motion of the first ``span`` frames in ``frames`` of them, in between by straight lines.
@@ -109,6 +111,7 @@ def make_work(source: Source, size: Size) -> Work:
     """
     _require_frames(source, size.frames)
     if source.truth is None:
+        assert source.clouds is not None  # a source has one of the two
         return _from_clouds(source.clouds, size)
     from warpdef.geometry.sampling import sample_surface
 

@@ -46,6 +46,7 @@ class ProfilingTeam(Team):
 
     def next_iteration(self) -> None:
         self._phase = 0
+        assert self.phases is not None, "begin() comes first"
         self.phases.append([])
 
     def end(self) -> None:
@@ -180,7 +181,7 @@ def descend(work: Work, size: Size, device: wp.Device, threads: int, tree_worker
                     team.next_iteration()
                 times.append(clock.seconds(optimiser.step))
             if watched:
-                phases.extend(team.phases)
+                phases.extend(team.phases or [])
                 for key, seconds in (team.kernels or {}).items():
                     kernels[key].append(seconds / count)
                 team.end()

@@ -17,12 +17,12 @@ FLOPS_PER_ROUND = 160
 @wp.kernel
 def _sample_only(
     begin: int,
-    nodes: wp.array2d(dtype=node8),
-    levels: wp.array(dtype=wp.int32),
+    nodes: wp.array2d[node8],
+    levels: wp.array[wp.int32],
     level_count: int,
-    points: wp.array(dtype=wp.vec3),
-    transition: wp.array(dtype=wp.int32),
-    value_out: wp.array(dtype=node8),
+    points: wp.array[wp.vec3],
+    transition: wp.array[wp.int32],
+    value_out: wp.array[node8],
 ):
     """One thread a point."""
     i = begin + wp.tid()
@@ -33,12 +33,12 @@ def _sample_only(
 @wp.kernel
 def _adj_sample_only(
     begin: int,
-    levels: wp.array(dtype=wp.int32),
+    levels: wp.array[wp.int32],
     level_count: int,
-    points: wp.array(dtype=wp.vec3),
-    transition: wp.array(dtype=wp.int32),
-    adj_value: wp.array(dtype=node8),
-    adj_nodes_out: wp.array2d(dtype=node8),
+    points: wp.array[wp.vec3],
+    transition: wp.array[wp.int32],
+    adj_value: wp.array[node8],
+    adj_nodes_out: wp.array2d[node8],
 ):
     """One thread a point."""
     i = begin + wp.tid()
@@ -49,9 +49,9 @@ def _adj_sample_only(
 @wp.kernel
 def _rotate_only(
     begin: int,
-    rotation: wp.array(dtype=wp.vec3),
-    points: wp.array(dtype=wp.vec3),
-    moved_out: wp.array(dtype=wp.vec3),
+    rotation: wp.array[wp.vec3],
+    points: wp.array[wp.vec3],
+    moved_out: wp.array[wp.vec3],
 ):
     """One thread a point."""
     i = begin + wp.tid()
@@ -87,7 +87,7 @@ def multiply_adds(rounds: int, x: float, y: float) -> float: ...
 
 
 @wp.kernel
-def _multiply_adds(rounds: int, x: float, y: float, out: wp.array(dtype=wp.float32)):
+def _multiply_adds(rounds: int, x: float, y: float, out: wp.array[wp.float32]):
     """One thread an entry: FLOPS_PER_ROUND operations a round, in registers of eight floats as all kernels use."""
     out[wp.tid()] = multiply_adds(rounds, x, y)
 

@@ -7,6 +7,7 @@ import warp as wp
 
 from warpdef.apps.benchmark.bed import VERTICES_PER_TASK, Bed, Case, Peer, run_tasks
 from warpdef.apps.benchmark.peers import add_rows, chamfer_numpy, isometry_numpy
+from warpdef.device import on_host
 from warpdef.kernels.chamfer import fixed_to_moving, moving_to_fixed
 from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
 
@@ -49,8 +50,8 @@ def _chamfer(bed: Bed) -> list[Case]:
         run_tasks(tasks)
         return adj.numpy(), losses.numpy().sum()
 
-    x, cloud, normals = vertices.numpy(), p.cloud.numpy(), p.normals.numpy()
-    at_cloud, at_vertex = to_cloud.numpy(), to_vertex.numpy()
+    x, cloud, normals = on_host(vertices), on_host(p.cloud), on_host(p.normals)
+    at_cloud, at_vertex = on_host(to_cloud), on_host(to_vertex)
 
     def out_numpy(workers: int) -> tuple[np.ndarray, ...]:
         energy, pull = chamfer_numpy(x, cloud[at_cloud], normals[at_cloud], robust, 0.5)

@@ -6,6 +6,7 @@ import os
 import platform
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,6 @@ _COPY_EFFORT = Effort(seconds=0.5, least=5, most=15)
 
 def environment(device: wp.Device, threads: int) -> dict:
     """Names and versions of everything a figure depends on."""
-    import scipy
 
     return {
         "device": device.alias,
@@ -38,7 +38,7 @@ def environment(device: wp.Device, threads: int) -> dict:
         "python": platform.python_version(),
         "warp": wp.__version__,
         "numpy": np.__version__,
-        "scipy": scipy.__version__,
+        "scipy": version("scipy"),
         "warpdef": warpdef.__version__,
     }
 

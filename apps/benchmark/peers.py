@@ -66,7 +66,7 @@ def torch_peers(nodes: np.ndarray, adj: np.ndarray, table: LevelTable, clouds: S
     """
     if find_spec("torch") is None or len({len(c) for c in clouds}) > 1:
         return {}
-    import torch
+    import torch  # pyright: ignore[reportMissingImports] - a peer where it happens to be installed; no dependency
 
     # Our first axis is x; grid_sample's last input axis is its first coordinate.
     at = torch.from_numpy(np.stack(clouds)[:, None, None, :, ::-1].astype(np.float32))
@@ -78,12 +78,9 @@ def torch_peers(nodes: np.ndarray, adj: np.ndarray, table: LevelTable, clouds: S
 
     def forward(workers: int) -> torch.Tensor:
         torch.set_num_threads(workers)
-        total = 0.0
-        for block in blocks:
-            total = total + torch.nn.functional.grid_sample(
-                block, at, mode="bilinear", padding_mode="border", align_corners=True
-            )
-        return total[:, :, 0, 0] / len(blocks)
+        sample = torch.nn.functional.grid_sample
+        found = [sample(b, at, mode="bilinear", padding_mode="border", align_corners=True) for b in blocks]
+        return sum(found[1:], start=found[0])[:, :, 0, 0] / len(blocks)
 
     def value(workers: int) -> np.ndarray:
         with torch.no_grad():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import cast
 
 import numpy as np
 import warp as wp
@@ -11,6 +12,7 @@ from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.apps.benchmark.peers import add_rows
 from warpdef.apps.benchmark.refine_peers import block_cg_scipy, planes_numpy, rotations_numpy, vertex_normals_numpy
 from warpdef.apps.benchmark.timing import Clock, Timing
+from warpdef.device import on_host
 from warpdef.fit.refine import Refinement
 from warpdef.fit.workers import Team
 from warpdef.kernels.block_cg import BlockSolver
@@ -73,9 +75,9 @@ def _planes(bed: Bed) -> list[Case]:
         run_tasks(tasks[which])
         return (m.numpy(),) if which == "normals" else (matrix.numpy(), pull.numpy())
 
-    at, mesh_normals, points_at, cloud_normals = (a.numpy() for a in (flat, normals, p.cloud, p.normals))
-    j, i = to_cloud.numpy(), to_vertex.numpy()
-    reach_out, reach_back = reach[p.vertex_frame.numpy()], reach[p.cloud_frame.numpy()]
+    at, mesh_normals, points_at, cloud_normals = (on_host(a) for a in (flat, normals, p.cloud, p.normals))
+    j, i = on_host(to_cloud), on_host(to_vertex)
+    reach_out, reach_back = reach[on_host(p.vertex_frame)], reach[on_host(p.cloud_frame)]
 
     def out_numpy(workers: int) -> tuple[np.ndarray, ...]:
         return planes_numpy(at, mesh_normals, points_at[j], cloud_normals[j], reach_out, c.agreement)
@@ -108,7 +110,7 @@ def _rigid(bed: Bed) -> list[Case]:
     x, frames, count = wp.clone(o.vertices), p.frame_count, p.vertex_count
     total, half_edges = frames * count, frames * len(p.mesh.column)
     mesh, every = (p.integers(p.mesh.row), p.integers(p.mesh.column)), p.integers(np.arange(frames))
-    rest = wp.clone(x[p.transitions.keyframe])
+    rest = wp.clone(cast(wp.array, x[p.transitions.keyframe]))  # one frame of many is an array as well
     rotation = _filled(bed, wp.mat33, total).reshape(x.shape)
     fit_rotations(0, total, *mesh, rest, x, rotation)
     pull, rest_sum = wp.zeros_like(x), _filled(bed, wp.vec3, count)

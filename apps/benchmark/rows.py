@@ -88,6 +88,7 @@ def case_rows(
 
 def compare(case: Case, peer: Peer, workers: int) -> dict:
     """Relative difference between our answer and the peer's, and a sentence if it is beyond the tolerance."""
+    assert case.answer is not None  # a case with peers has one
     apart = difference(case.answer(), peer.run(workers))
     ok = apart <= case.tolerance  # false for NaN as well
     error = None if ok else f"{case.name}: differs from {peer.name} by {apart:.1e}, more than {case.tolerance:.0e}"

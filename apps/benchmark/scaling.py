@@ -93,8 +93,8 @@ def exponents(points: Sequence[dict]) -> dict[str, float]:
     sizes = [p["value"] for p in points]
     found = {}
     for key in GROWING:
-        values = [p.get(key) for p in points]
-        if None in values:
+        values = [p[key] for p in points if p.get(key) is not None]
+        if len(values) < len(points):
             continue
         found[key] = fit_exponent(sizes, values)
         found[f"{key}_top"] = fit_exponent(sizes[-2:], values[-2:])

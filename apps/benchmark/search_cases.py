@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
+from warpdef.device import on_host
 from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.neighbours import NearestSearch
 
@@ -65,7 +66,7 @@ class _Pair:
         self._forget()
         run_tasks(self.build_tasks)
         run_tasks(self._query_tasks)
-        found = self._targets.numpy()[self._search.index.numpy()].astype(np.float64)
+        found = on_host(self._targets)[on_host(self._search.index)].astype(np.float64)
         return np.linalg.norm(self._queries.numpy() - found, axis=1)
 
     def cold(self, name: str) -> Case:

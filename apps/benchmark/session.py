@@ -189,11 +189,11 @@ def targets(report: dict, size: str, kind: str) -> list[dict]:
         {
             "title": t.title,
             "size": size,
-            "value": values[t.key],
+            "value": value,
             "bound": t.bound,
             "unit": t.unit,
-            "met": values[t.key] <= t.bound if judged else None,
+            "met": value <= t.bound if judged else None,
         }
         for t in TARGETS
-        if t.device == kind and values.get(t.key) is not None
+        if t.device == kind and (value := values.get(t.key)) is not None
     ]

@@ -55,7 +55,7 @@ class Clock:
         if device.is_cuda:
             self._start, self._end = (wp.Event(device=device, enable_timing=True) for _ in range(2))
 
-    def seconds(self, run: Callable[[], None], count: int = 1) -> float:
+    def seconds(self, run: Callable[[], object], count: int = 1) -> float:
         """Seconds of ``count`` calls together."""
         if self.device.is_cuda:
             wp.record_event(self._start)
@@ -84,8 +84,8 @@ SHORTEST_SAMPLE = 5e-4  # seconds: shorter calls are timed several at a time, so
 
 
 def measure(
-    run: Callable[[], None],
-    seconds: Callable[[Callable[[], None], int], float],
+    run: Callable[[], object],
+    seconds: Callable[[Callable[[], object], int], float],
     effort: Effort,
     before: Callable[[], None] | None = None,
 ) -> Timing:

@@ -125,14 +125,15 @@ def _of_this_code(run: Run, result: dict[str, Any]) -> dict[str, Any] | Exceptio
 
 
 def _connect(address: str, workers: int, stack: ExitStack) -> Any:
-    import dask
+    from dask import config as dask_config  # pyright: ignore[reportPrivateImportUsage] - the documented way to it
     from distributed import Client, LocalCluster
 
     if not address:
         # Read by the scheduler when it starts.
-        stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": DEATHS_ALLOWED}))
+        stack.enter_context(dask_config.set({"distributed.scheduler.allowed-failures": DEATHS_ALLOWED}))
         # No share of memory a worker: Dask would kill a run that may well use what its neighbours do not.
-        cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None, memory_limit=0)
+        no_dashboard: Any = None  # as documented; the annotation knows strings alone
+        cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=no_dashboard, memory_limit=0)
         return stack.enter_context(Client(stack.enter_context(cluster)))
     try:
         client = stack.enter_context(Client(address, timeout=_CONNECT_S))

@@ -18,8 +18,14 @@ _NO_NUMBERS = ("apps", "export")
 def code_version() -> str:
     """The version, and a digest of the library's and the kernels' source files; on every machine the same."""
     # Installed from a checkout the kernels are a folder of their own.
-    folders = [Path(find_spec(name).origin).parent for name in ("warpdef", "warpdef.kernels")]
+    folders = [_folder(name) for name in ("warpdef", "warpdef.kernels")]
     return f"{warpdef.__version__}+{digest(folders)}"
+
+
+def _folder(name: str) -> Path:
+    spec = find_spec(name)
+    assert spec is not None and spec.origin is not None  # it is a package of this program
+    return Path(spec.origin).parent
 
 
 def digest(folders: Sequence[Path]) -> str:

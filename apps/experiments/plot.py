@@ -59,7 +59,7 @@ def plot(experiment: Experiment, rows: Sequence[dict[str, Any]], path: Path) -> 
             axis.set_minor_locator(NullLocator())
         if numbered:
             panel.set_xlabel(experiment.axis)
-            panel.set_xticks(sorted({setting.x for setting in experiment.settings}))
+            panel.set_xticks(sorted({setting.x for setting in experiment.settings if setting.x is not None}))
         panel.grid(alpha=0.3)
     if not numbered:
         axes[0].set_yticks(range(len(experiment.settings)), [s.name for s in experiment.settings])
@@ -72,8 +72,10 @@ def plot(experiment: Experiment, rows: Sequence[dict[str, Any]], path: Path) -> 
 
 def _lines(experiment: Experiment, rows: Sequence[dict[str, Any]], key: str, factor: float) -> list[dict[str, Any]]:
     """One line a sequence, the mean, and one a data set of the paper."""
-    numbered = all(setting.x is not None for setting in experiment.settings)
-    place = {s.name: s.x if numbered else i for i, s in enumerate(experiment.settings)}
+    numbers = [setting.x for setting in experiment.settings if setting.x is not None]
+    numbered = len(numbers) == len(experiment.settings)
+    places = numbers if numbered else range(len(experiment.settings))
+    place = {setting.name: at for setting, at in zip(experiment.settings, places, strict=True)}
     groups: dict[tuple[str, str], list[tuple[float, float]]] = {}
     single = all(len(s.runs) == 1 for s in experiment.settings)
     for row in rows:

@@ -34,7 +34,7 @@ class SurfaceActor:
         import pyvista
 
         self._index, self._pane, self._unit = index, pane, unit
-        vertices, faces = pane.surface(0)
+        vertices, faces = self._surface(0)
         self._data = pyvista.PolyData()
         self._faces: np.ndarray | None = None
         self._colors: np.ndarray | None = None
@@ -47,10 +47,15 @@ class SurfaceActor:
             self._data, color=_GREY, scalars=None, specular=0.1, ambient=0.2, diffuse=0.9, show_scalar_bar=False
         )
         self.actor.mapper.SetScalarModeToUsePointFieldData()
-        self._bar = None
+        self._bar: Any = None
         self._plotter = plotter
         self._tables: dict[str, Any] = {}
         self._shown = ""
+
+    def _surface(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        found = self._pane.surface(frame)
+        assert found is not None  # a pane without meshes gets no surface
+        return found
 
     def _fill(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         """New places for the points; new triangles only where they did change."""
@@ -62,14 +67,15 @@ class SurfaceActor:
             self._data.copy_from(pyvista.PolyData.from_regular_faces(vertices.astype("f4"), faces))
             self._colors = None
         else:
-            self._data.points[:] = vertices
+            points: Any = self._data.points  # sliced below, which its annotation leaves out
+            points[:] = vertices
         self._faces = faces
 
     def show(self, frame: int, look: Look) -> None:
         """The mesh of a frame in the look's colours."""
         from warpdef.export.vertex_normals import vertex_normals
 
-        vertices, faces = self._pane.surface(frame)
+        vertices, faces = self._surface(frame)
         self._fill(vertices, faces)
         if look.smooth and not look.wireframe:
             self._data.point_data["Normals"] = vertex_normals(vertices, faces)
@@ -82,8 +88,9 @@ class SurfaceActor:
 
     def _paint(self, frame: int, color: str) -> None:
         mapper, colouring = self.actor.mapper, self._pane.colouring
-        measured = colouring is not None and color in colouring.measures
-        if measured:
+        measured = False
+        if colouring is not None and color in colouring.measures:
+            measured = True
             self._data.point_data["value"] = colouring.values(color, frame).astype("f4")
             mapper.lookup_table = self.table(color)
             mapper.scalar_range = self.table(color).scalar_range
@@ -104,7 +111,7 @@ class SurfaceActor:
         if self._pane.colors is not None:
             return self._pane.colors
         moving = self._pane.moving
-        return material_colors(self._pane.surface(frame)[0] if moving is None else moving.vertices[self._pane.keyframe])
+        return material_colors(self._surface(frame)[0] if moving is None else moving.vertices[self._pane.keyframe])
 
     def _show_bar(self, color: str) -> None:
         from warpdef.vertex_measures import MEASURES
@@ -131,13 +138,14 @@ class SurfaceActor:
                 text.SetFontSize(13)
         if self._bar is not None:
             self._bar.SetVisibility(bool(color))
-        if color:
-            self._bar.SetLookupTable(self._tables[color])
-            self._bar.SetTitle(MEASURES[color].label.format(self._unit))
+            if color:
+                self._bar.SetLookupTable(self._tables[color])
+                self._bar.SetTitle(MEASURES[color].label.format(self._unit))
 
     def table(self, color: str) -> Any:
         """Numbers to colours, the same in all frames."""
         if color not in self._tables:
+            assert self._pane.colouring is not None  # it has measured what it is to show
             self._tables[color] = _lookup_table(color, self._pane.colouring)
         return self._tables[color]
 
@@ -153,10 +161,11 @@ class CloudActor:
     def __init__(self, plotter: Any, pane: Pane) -> None:
         import pyvista
 
-        self._pane = pane
+        assert pane.clouds is not None  # a pane without clouds gets none here
+        self._clouds, self._colouring = pane.clouds, pane.colouring
         self._frames: dict[int, Any] = {}
         self.actor = plotter.add_mesh(
-            pyvista.PolyData(pane.clouds[0].astype("f4")),
+            pyvista.PolyData(self._clouds[0].astype("f4")),
             color=_CLOUD,
             point_size=4.0,
             render_points_as_spheres=True,
@@ -171,10 +180,11 @@ class CloudActor:
         if not self.actor.visibility:
             return
         if frame not in self._frames:
-            self._frames[frame] = pyvista.PolyData(self._pane.clouds[frame].astype("f4"))
-        data, mapper, colouring = self._frames[frame], self.actor.mapper, self._pane.colouring
-        measured = look.color == "error" and surface is not None and colouring is not None
-        if measured:
+            self._frames[frame] = pyvista.PolyData(self._clouds[frame].astype("f4"))
+        data, mapper, colouring = self._frames[frame], self.actor.mapper, self._colouring
+        measured = False
+        if look.color == "error" and surface is not None and colouring is not None:
+            measured = True
             data.point_data["error"] = colouring.point_errors(frame).astype("f4")
             mapper.lookup_table = surface.table("error")
             mapper.scalar_range = surface.table("error").scalar_range

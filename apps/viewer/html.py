@@ -95,7 +95,10 @@ def _colors(pane: Pane, content: Content, look: Look) -> dict[str, Any]:
     from warpdef.vertex_measures import MEASURES
 
     packed: dict[str, Any] = {}
-    colors = material_colors(pane.moving.vertices[pane.keyframe]) if pane.colors is None else pane.colors
+    colors = pane.colors
+    if colors is None:
+        assert pane.moving is not None  # pages are made of meshes that move
+        colors = material_colors(pane.moving.vertices[pane.keyframe])
     if look.color != "plain":
         packed["colors"] = _base64(np.ascontiguousarray(colors))
     if pane.colouring is not None and look.color in pane.colouring.measures:

@@ -102,28 +102,34 @@ class LiveView:
     def _give(self, progress: Progress) -> None:
         import numpy as np
 
+        assert progress.meshes is not None and self._folder is not None
         meshes = progress.meshes()
         if self._control is None:
-            self._write_scene(meshes)
+            self._vertices, self._control = self._write_scene(meshes, self._folder)
         self._vertices[:] = meshes.vertices
         self._control[ITERATION], self._control[ITERATIONS] = progress.iteration, progress.iterations
         self._control[PHASE] = PHASES.index(progress.phase) if progress.phase in PHASES else 0
         self._control[GIVEN] += np.int64(1)
 
-    def _write_scene(self, meshes: Any) -> None:
+    def _write_scene(self, meshes: Any, folder: Path) -> tuple[Any, Any]:
+        """Write what stays; returns the arrays that are shared with the window: vertices and control."""
         import numpy as np
 
-        folder, clouds = self._folder, self._sequence.all_frames()
-        arrays = {f"cloud_{t:04d}": p[:: -(-len(p) // POINTS_MAX) or 1].astype("f4") for t, p in enumerate(clouds)}
+        clouds = self._sequence.all_frames()
+        arrays: dict[str, Any] = {
+            f"cloud_{t:04d}": p[:: -(-len(p) // POINTS_MAX) or 1].astype("f4") for t, p in enumerate(clouds)
+        }
         arrays |= {"faces": meshes.faces, "shape": np.array(meshes.vertices.shape), "up": np.array(self._up)}
         arrays["names"] = np.array(self._sequence.frame_names, dtype=np.str_)
-        self._vertices = np.memmap(folder / "vertices", dtype="f4", mode="w+", shape=meshes.vertices.shape)
-        self._control = np.memmap(folder / "control", dtype=np.int64, mode="w+", shape=(8,))
+        vertices = np.memmap(folder / "vertices", dtype="f4", mode="w+", shape=meshes.vertices.shape)
+        control = np.memmap(folder / "control", dtype=np.int64, mode="w+", shape=(8,))
         np.savez(folder / "scene.partial.npz", **arrays)
         os.replace(folder / "scene.partial.npz", folder / "scene.npz")
+        return vertices, control
 
     def _note_end(self) -> None:
         """The window is gone: closed by its user, or by what it says."""
+        assert self._process is not None and self._folder is not None
         code = self._process.returncode
         if code == 0:
             self._process = None

@@ -116,7 +116,9 @@ def _write_gif(pictures: Iterator[np.ndarray], path: Path, fps: float) -> None:
         # One palette for all pictures: no flicker of colours between them.
         palette = images[0] if images else None
         image = Image.fromarray(picture)
-        images.append(image.quantize(255) if palette is None else image.quantize(255, palette=palette, dither=0))
+        images.append(
+            image.quantize(255) if palette is None else image.quantize(255, palette=palette, dither=Image.Dither.NONE)
+        )
     # A .gif counts hundredths of a second; rounding the sum keeps the whole as long as it should be.
     ticks = [round(100.0 * k / fps) for k in range(len(images) + 1)]
     durations = [max(2, b - a) * 10 for a, b in zip(ticks, ticks[1:], strict=False)]
@@ -146,7 +148,7 @@ def _write_mp4(pictures: Iterator[np.ndarray], path: Path, fps: float) -> None:
 def _require_ffmpeg() -> Any:
     try:
         import imageio.v2 as imageio
-        import imageio_ffmpeg
+        import imageio_ffmpeg  # pyright: ignore[reportMissingImports] - the extra [movie], which checks need not have
 
         imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError) as error:

@@ -32,7 +32,8 @@ class Scene:
         self.content = content
         self.look = look or Look()
         self.frame = 0
-        self.plotter = pyvista.Plotter(
+        # Its methods that PyVista wraps are not described as methods.
+        self.plotter: Any = pyvista.Plotter(
             off_screen=off_screen, shape=(1, len(content.panes)), border=False, window_size=list(size)
         )
         self.surfaces: list[SurfaceActor | None] = []
@@ -117,8 +118,11 @@ class Scene:
         """What is seen, shape (height, width, 3) uint8."""
         for renderer in self.plotter.renderers:
             renderer.ResetCameraClippingRange()
+        assert self.plotter.render_window is not None  # it has one until it is closed
         self.plotter.render_window.Render()
-        return self.plotter.screenshot(return_img=True)
+        picture = self.plotter.screenshot(return_img=True)
+        assert picture is not None  # None is the answer where no picture was asked for
+        return picture
 
     def close(self) -> None:
         """Give the render window back."""
