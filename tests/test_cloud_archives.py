@@ -65,7 +65,7 @@ def test_another_name_is_told(tmp_path):
         (POINTS.transpose(0, 2, 1), r"got \(4, 3, 20\); transpose it: points.transpose\(0, 2, 1\)"),
         (POINTS.transpose(2, 0, 1), r"got \(3, 4, 20\); transpose it: points.transpose\(1, 2, 0\)"),
         (POINTS[0], r"expected shape \(T, N, 3\), got \(20, 3\)"),
-        (np.concatenate([POINTS, POINTS * 0 + 200], axis=2), "looks like colours"),
+        (np.concatenate([POINTS, POINTS * 0 + 2000.5], axis=2), "expected normals or colours in columns 4 to 6"),
     ],
 )
 def test_another_shape_says_what_to_do(tmp_path, points, message):

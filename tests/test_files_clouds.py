@@ -239,7 +239,7 @@ BAD_SEQUENCES = [
     (unnumbered_among_numbered, "a number in every file name, got 'least.npy' and one file with a number"),
     (frames_in_subfolder, "folder 'clouds' has some: give that"),
     (archive_in_folder, "give the file 'all.npz' itself"),
-    (other_suffixes, r"\.npy \.pcd \.las \.laz\), got other suffixes \(\.e57\)"),
+    (other_suffixes, r"\.npy \.pcd \.las \.laz \.npz\), got other suffixes \(\.e57\)"),
     (single_file, "got one file; give the folder"),
     (unknown_suffix, r"unknown suffix '\.e57'; expected an \.npz, or a folder .*\.xyz"),
     (npz_of(points=ragged), "got objects.*could run code.*np.savez"),
@@ -277,8 +277,10 @@ def test_frames_that_leave_too_few(tmp_path):
 def test_colours_are_not_taken_for_normals(tmp_path):
     save_frames(tmp_path, "1.npy", "2.npy")
     np.save(tmp_path / "2.npy", np.hstack([FRAMES[0], np.full((N, 3), 200.0)]))
-    with pytest.raises(InputError, match=r"2\.npy: expected normals in columns 4 to 6, got what looks like colours"):
-        read_clouds(tmp_path)
+    assert read_clouds(tmp_path).normals == (None, None)
+    np.save(tmp_path / "2.npy", np.hstack([FRAMES[0], np.full((N, 3), 2000.5)]))
+    with pytest.raises(InputError, match=r"2\.npy: expected normals or colours in columns 4 to 6.*--columns"):
+        read_clouds(tmp_path, strict=True)
 
 
 def test_obj_normals_of_other_vertices_are_left_out(tmp_path, clouds, normals):

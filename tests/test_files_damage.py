@@ -13,9 +13,10 @@ from mutation_samples import las, pcd
 
 from warpdef.errors import InputError
 from warpdef.files import read_clouds, read_mesh, read_mesh_sequence, write_ply
-from warpdef.files.formats import CLOUD_SUFFIXES, read_surface
+from warpdef.files.formats import CLOUD_SUFFIXES, FORMATS, read_surface
 from warpdef.files.numpy_files import Npz, read_npy
 
+TABLES = [s for s, form in FORMATS.items() if form.reader == "tables:read_table"]
 POINTS = np.random.default_rng(0).normal(size=(40, 3))
 FACES = np.random.default_rng(1).integers(0, 40, size=(30, 3))
 
@@ -44,7 +45,7 @@ def samples(tmp_path) -> dict[str, bytes]:
         ".ply": binary_ply(tmp_path),
         ".obj": obj(),
         ".off": off(),
-        ".xyz": ("\n".join(f"{x} {y} {z}" for x, y, z in POINTS)).encode(),
+        **{s: "\n".join(f"{x} {y} {z}" for x, y, z in POINTS).encode() for s in TABLES},
         ".npy": saved(np.save, POINTS),
         ".pcd": pcd(POINTS, None, "binary_compressed"),
         ".las": las(POINTS),

@@ -207,6 +207,7 @@ def _report(
         "frames": sequence.frame_count,
         "frames_missing": [gap.number for gap in sequence.gaps],
         "points": [len(p) for p in sequence.all_frames()],
+        "columns": sequence.columns or None,
         "duplicates_merged": int(sum(sequence.merged)),
         "points_dropped": int(sum(sequence.dropped)),
         "keyframe": chosen.keyframe,

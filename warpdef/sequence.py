@@ -40,6 +40,7 @@ class PointSequence:
     disowned: normals given but not usable      T truth values
     gaps:     the input's other frames; ``len(sequence)`` is T, ``frame_count`` counts them all
     notes:    further warnings about the input, one line each
+    columns:  what was taken of the columns in the files and what was passed over; empty where they have none
 
     Build one with ``PointSequence.from_arrays``, which checks every frame.
     """
@@ -52,6 +53,7 @@ class PointSequence:
     disowned: tuple[bool, ...] = ()
     gaps: tuple[Gap, ...] = ()
     notes: tuple[str, ...] = ()
+    columns: str = ""
 
     def __len__(self) -> int:
         return len(self.points)

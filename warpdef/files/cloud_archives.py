@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from warpdef.errors import InputError
+from warpdef.files.columns import guess_roles, surface_of
 from warpdef.files.frame_files import select_frames
 from warpdef.files.frame_numbers import natural_key
 from warpdef.files.numpy_files import Npz, npy_array, row
 from warpdef.files.surface import Surface
-from warpdef.files.text_formats import split_columns
 from warpdef.sequence import MIN_FRAMES, Cloud
 
 NamedFrame = tuple[str, Callable[[], Cloud]]
@@ -152,7 +152,7 @@ def _stacked_frames(npz: Npz, name: str, frames: slice | None) -> list[NamedFram
 
 def _columns(rows: np.ndarray, where: str) -> Cloud:
     if rows.ndim == 2 and rows.shape[1] == 6:
-        surface = split_columns(rows, where)
+        surface = surface_of(rows, guess_roles(rows, where))
         return surface.points, surface.normals
     return rows, None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -9,28 +11,37 @@ import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.files.cloud_archives import CONTAINERS, NamedFrame
+from warpdef.files.columns import parse_columns
 from warpdef.files.disk import must_exist
-from warpdef.files.formats import ARCHIVE_SUFFIXES, CLOUD_SUFFIXES, read_surface
+from warpdef.files.formats import CLOUD_SUFFIXES, FRAME_SUFFIXES, read_surface
 from warpdef.files.frame_files import FrameSlot, find_frames, select_frames
 from warpdef.files.numpy_files import write_npz
 from warpdef.sequence import MIN_FRAMES, MIN_POINTS, Cloud, PointSequence
 
 
 def read_clouds(
-    path: Path | str, frames: slice | None = None, *, strict: bool = False, points: int = 0, seed: int = 0
+    path: Path | str,
+    frames: slice | None = None,
+    *,
+    strict: bool = False,
+    points: int = 0,
+    seed: int = 0,
+    columns: str = "",
 ) -> PointSequence:
     """Read a sequence of point clouds, in the input's units.
 
     Args:
-        path: a folder of numbered .ply, .obj, .off, .xyz, .npy, .pcd, .las or .laz files of one kind (natural order,
-            padded or not; other files are passed over), or an .npz in a layout of this module. Vertices of meshes are
-            points. .npy and .xyz may have 6 columns, the last three being normals.
+        path: a folder of numbered files of one kind (``formats.FORMATS``; in the order of their numbers, dates or
+            times; other files are passed over), a folder of such a file a frame, or an .npz or .npy in a layout of
+            ``cloud_archives``. Vertices of meshes are points.
         frames: frames to use; files outside it are not opened.
         strict: refuse a frame that cannot be used (empty, damaged, missing); else it becomes a gap of the sequence,
             with a warning, unless more than half of the frames are such.
         points: points kept of a frame, as ``PointSequence.subsample`` does; 0: all. No more than one frame is then
             held whole, and an array of an .npz that is not compressed is read from the file page by page.
         seed: of that choice.
+        columns: what the columns of tables are, ``x,y,z,nx,ny,nz,r,g,b`` with ``_`` for one to be passed over; empty:
+            by their names, else by their values.
 
     Raises:
         InputError: nothing there, an unknown suffix, fewer than 2 frames, or frames that cannot be used.
@@ -41,8 +52,9 @@ def read_clouds(
     if points and points < MIN_POINTS:
         raise InputError(f"--points: expected at least {MIN_POINTS}, got {points}")
     suffix = path.suffix.lower()
+    roles, told = parse_columns(columns), ColumnsTold()
     if path.is_dir():
-        named, notes = _folder_frames(path, frames)
+        named, notes = _folder_frames(path, frames, roles, told)
     elif suffix in CONTAINERS:
         named, notes = CONTAINERS[suffix](path, frames)
     elif suffix in CLOUD_SUFFIXES:
@@ -52,17 +64,42 @@ def read_clouds(
             f"{path}: unknown suffix '{suffix}'; expected an .npz, or a folder of numbered files "
             f"({' '.join(CLOUD_SUFFIXES)})"
         )
-    return PointSequence.from_frames(named, strict=strict, at_most=points, seed=seed, notes=notes)
+    sequence = PointSequence.from_frames(named, strict=strict, at_most=points, seed=seed, notes=notes)
+    return replace(sequence, columns=told.line, notes=(*sequence.notes, *told.notes))
 
 
-def _folder_frames(path: Path, frames: slice | None) -> tuple[list[NamedFrame], list[str]]:
-    found = find_frames(path, CLOUD_SUFFIXES, ARCHIVE_SUFFIXES)
+@dataclass
+class ColumnsTold:
+    """What the files said of their columns, by frame."""
+
+    lines: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def line(self) -> str:
+        """That of the first frame."""
+        return next(iter(self.lines.values()), "")
+
+    @property
+    def notes(self) -> list[str]:
+        """A warning where frames differ."""
+        other = next((name for name, line in self.lines.items() if line != self.line), "")
+        return (
+            [f"the columns differ: '{self.line}' in the first frame, '{self.lines[other]}' in {other}"] if other else []
+        )
+
+
+def _folder_frames(
+    path: Path, frames: slice | None, columns: Sequence[str], told: ColumnsTold
+) -> tuple[list[NamedFrame], list[str]]:
+    found = find_frames(path, FRAME_SUFFIXES)
     slots = select_frames(found.slots, frames, MIN_FRAMES, path)
-    return [(slot.name, partial(_read_slot, slot)) for slot in slots], found.notes
+    return [(slot.name, partial(_read_slot, slot, columns, told)) for slot in slots], found.notes
 
 
-def _read_slot(slot: FrameSlot) -> Cloud:
-    surface = read_surface(slot.file(), CLOUD_SUFFIXES + ARCHIVE_SUFFIXES)
+def _read_slot(slot: FrameSlot, columns: Sequence[str], told: ColumnsTold) -> Cloud:
+    surface = read_surface(slot.file(), FRAME_SUFFIXES, columns)
+    if surface.columns:
+        told.lines[slot.name] = surface.columns
     return surface.points, surface.normals
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from warpdef.errors import InputError
@@ -22,34 +22,46 @@ class Format:
 
     reader:    ``module:function`` of this package, called with a path
     has_faces: it can hold a mesh, not points alone
-    archive:   it mostly holds all frames; in a folder it is a frame only where nothing else is
+    columns:   its columns may have no names: the reader is given their roles, where people say them, as well
+    weak:      such files lie beside frames, too: in a folder they are frames only where no others are
     """
 
     reader: str
     has_faces: bool = False
-    archive: bool = False
+    columns: bool = False
+    weak: bool = False
 
+
+_TABLE = Format("tables:read_table", columns=True)
+_WEAK_TABLE = replace(_TABLE, weak=True)
 
 FORMATS = {
     ".ply": Format("ply:read_ply", has_faces=True),
     ".obj": Format("text_formats:read_obj", has_faces=True),
     ".off": Format("text_formats:read_off", has_faces=True),
-    ".xyz": Format("text_formats:read_xyz"),
-    ".npy": Format("numpy_files:read_npy_points"),
+    **dict.fromkeys((".xyz", ".pts", ".asc", ".xyzn", ".xyzrgb"), _TABLE),
+    **dict.fromkeys((".txt", ".csv", ".tsv"), _WEAK_TABLE),
+    ".npy": Format("numpy_files:read_npy_points", columns=True),
     ".pcd": Format("pcd:read_pcd"),
     ".las": Format("las:read_las"),
     ".laz": Format("las:read_las"),
-    ".npz": Format("cloud_archives:read_npz_points", archive=True),
+    ".npz": Format("cloud_archives:read_npz_points", weak=True),
 }
 """Formats of one frame by suffix."""
 
-CLOUD_SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if not form.archive)
-ARCHIVE_SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.archive)
+FRAME_SUFFIXES = tuple(FORMATS)
+CLOUD_SUFFIXES = tuple(suffix for suffix in FORMATS if suffix != ".npz")
+"""Those of files that never hold more than one frame."""
+WEAK_SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.weak)
 MESH_SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.has_faces)
 
 
-def read_surface(path: Path, suffixes: Sequence[str]) -> Surface:
+def read_surface(path: Path, suffixes: Sequence[str], columns: Sequence[str] = ()) -> Surface:
     """Contents of one file, by its suffix.
+
+    Args:
+        suffixes: those that are welcome.
+        columns: roles of a table's columns, where people say them (``columns.parse_columns``).
 
     Raises:
         InputError: missing, an unknown suffix, or anything the format's reader complains about.
@@ -61,10 +73,13 @@ def read_surface(path: Path, suffixes: Sequence[str]) -> Surface:
         raise InputError(
             f"{path}: unknown suffix '{suffix}'{why}; expected one of {' '.join(suffixes)}; convert the file"
         )
+    if columns and not FORMATS[suffix].columns:
+        tables = " ".join(s for s, form in FORMATS.items() if form.columns)
+        raise InputError(f"{path}: --columns is for tables without names ({tables}); leave it out")
     module, function = FORMATS[suffix].reader.split(":")
     read = getattr(importlib.import_module(f"warpdef.files.{module}"), function)
     try:
-        return read(path)
+        return read(path, columns) if columns else read(path)
     except InputError:
         raise
     except (ValueError, OverflowError, MemoryError) as error:

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from warpdef.errors import InputError
 from warpdef.files.disk import must_exist, reason
+from warpdef.files.formats import WEAK_SUFFIXES
 from warpdef.files.frame_numbers import Numbering, natural_key, pattern, read_names, refuse_several
 
 _Item = TypeVar("_Item")
@@ -93,13 +94,13 @@ def frame_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     return find_frames(folder, suffixes).files
 
 
-def find_frames(folder: Path, suffixes: Sequence[str], archives: Sequence[str] = ()) -> FrameFiles:
+def find_frames(folder: Path, suffixes: Sequence[str]) -> FrameFiles:
     """The frames of a folder in the order of time: its one series of numbered files.
 
     Hidden files and other suffixes are passed over silently; files of the suffixes that are not numbered, or belong to
     no series (a template, a mean), are passed over and told. Without any number, files of one suffix are in natural
     order, too. Where there are no such files, folders a frame with one file each, or with one of the same name, are
-    taken; then numbered files of the suffixes ``archives``.
+    taken. Texts and archives, which lie beside frames, too, are frames only where there are no others.
 
     Raises:
         InputError: none there, files of several suffixes none of which is the only one with a series, or several
@@ -109,16 +110,13 @@ def find_frames(folder: Path, suffixes: Sequence[str], archives: Sequence[str] =
     try:
         entries = [p for p in folder.iterdir() if not p.name.startswith(".")]
         # A dangling link is kept: as a frame it must be complained about, not lost.
-        files = [p for p in entries if p.suffix.lower() in suffixes and not p.is_dir()]
+        files = _without_weak([p for p in entries if p.suffix.lower() in suffixes and not p.is_dir()])
     except OSError as error:
         raise InputError(f"{folder}: the folder cannot be read ({reason(error)}); check its permissions") from None
     if not files:
         nested = _frame_folders(entries, suffixes)
         if nested:
             return _numbered(nested, [], folder, lambda p: p.parent.name)
-        found = [p for p in entries if p.suffix.lower() in archives and re.search("[0-9]", p.stem) and not p.is_dir()]
-        if len(found) > 1:
-            return _numbered(found, found, folder, lambda p: p.stem)
         raise InputError(
             f"{folder}: expected numbered files ({' '.join(suffixes)}), got {_what_else(entries, suffixes)}"
         )
@@ -140,6 +138,14 @@ def find_frames(folder: Path, suffixes: Sequence[str], archives: Sequence[str] =
             f"and one file with a number; number the frames"
         )
     return _numbered(frames, files, folder, lambda p: p.stem)
+
+
+def _without_weak(files: list[Path]) -> list[Path]:
+    """The files without such as may only lie beside the frames; those of them with numbers where no others are."""
+    strong = [p for p in files if p.suffix.lower() not in WEAK_SUFFIXES]
+    weak = [p for p in files if p.suffix.lower() in WEAK_SUFFIXES and re.search("[0-9]", p.stem)]
+    few = len([p for p in strong if re.search("[0-9]", p.stem)]) < 2
+    return weak if few and len(weak) > max(len(strong), 1) else strong
 
 
 def _numbered(frames: list[Path], files: Sequence[Path], folder: Path, stem: Callable[[Path], str]) -> FrameFiles:

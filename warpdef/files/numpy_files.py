@@ -8,16 +8,16 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, TypeVar
 
 import numpy as np
 
 from warpdef.errors import InputError
+from warpdef.files.columns import guess_roles, surface_of
 from warpdef.files.disk import Unpacking, must_exist, reason, replacing
 from warpdef.files.surface import Surface
-from warpdef.files.text_formats import split_columns
 
 MAPPED_FROM = 1 << 26
 """Arrays of at least so many bytes, 64 MiB, that are not compressed are mapped into memory, not read into it."""
@@ -66,13 +66,16 @@ def npy_array(path: Path) -> np.ndarray:
     return _guarded(read, path)
 
 
-def read_npy_points(path: Path) -> Surface:
-    """Positions (N, 3), or with normals (N, 6).
+def read_npy_points(path: Path, columns: Sequence[str] = ()) -> Surface:
+    """Positions (N, 3), with normals (N, 6), or more columns; their roles as people say, else by their values.
 
     Raises:
         InputError: as ``read_npy``, or another shape.
     """
-    return split_columns(read_npy(path), str(path))
+    table = read_npy(path)
+    if table.ndim != 2 or len(columns) > table.shape[1]:
+        raise InputError(f"{path}: expected shape (N, {len(columns) or 3}), or more columns, got {table.shape}")
+    return surface_of(table, columns or guess_roles(table, str(path)))
 
 
 class Npz:

@@ -1,6 +1,6 @@
 """PCD files of the Point Cloud Library, version 0.7 and before: ascii, binary and binary_compressed.
 
-Read are x, y, z and, where all three are there, normal_x, normal_y, normal_z; colours and all other fields are passed
+Read are x, y, z and, where all three are there, normals under any usual name; colours and all other fields are passed
 over. Points are taken as they stand: the acquisition VIEWPOINT is not applied, as PCL does not apply it either. Points
 that a sensor did not see are NaN and are left out later, with a warning.
 """
@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from warpdef.errors import InputError
+from warpdef.files.columns import NORMALS, POINTS, named_surface, plain_numbers, role_of, roles_of
 from warpdef.files.disk import Unpacking, read_bytes
 from warpdef.files.lzf import lzf_decompress
 from warpdef.files.surface import Surface
 
 _HEADER_MAX = 1 << 16
 _BLOCK = 1 << 20  # bytes of text that become numbers at once
-_POINTS, _NORMALS = ("x", "y", "z"), ("normal_x", "normal_y", "normal_z")
 _KINDS = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}
 _VALUES_MAX = 1 << 16  # values of a field
 
@@ -55,10 +55,10 @@ def read_pcd(path: Path) -> Surface:
     columns = {"ascii": _read_text, "binary": _read_rows, "binary_compressed": _read_compressed}[header.form](
         data, header, path
     )
-    points, normals = _stacked(columns, _POINTS), _stacked(columns, _NORMALS)
-    if points is None:
+    if not set(POINTS) <= set(columns):
         raise InputError(f"{path}: expected the fields x, y, z, got {', '.join(header.names)[:80]}")
-    return Surface(points, normals)
+    passed = [name for name in header.names if role_of(name) not in columns and name != "_"]
+    return named_surface(columns, passed)
 
 
 def _parse_header(data: bytes, where: str) -> _Header:
@@ -100,7 +100,7 @@ def _read_text(data: bytes, header: _Header, path: Path) -> dict[str, np.ndarray
     try:
         while at < len(data):
             end = data.find(b"\n", at + _BLOCK) + 1 or len(data)
-            numbers.extend([float(word) for word in data[at:end].split()])
+            numbers.extend([float(word) for word in plain_numbers(data[at:end]).split()])
             at = end
     except ValueError as error:
         raise InputError(f"{path}: expected numbers after the PCD header, got something else ({error})") from None
@@ -143,20 +143,12 @@ def _read_compressed(data: bytes, header: _Header, path: Path) -> dict[str, np.n
 
 
 def _single(header: _Header) -> list[tuple[int, str]]:
-    """Index and name of the fields that are read; they must have one value a point."""
+    """Index and role of the fields that are read; they must have one value a point."""
     return [
-        (i, name)
-        for i, name in enumerate(header.names)
-        if name in _POINTS + _NORMALS and header.counts[i] == 1 and name not in header.names[:i]
+        (i, role)
+        for i, role in enumerate(roles_of(header.names))
+        if role in (*POINTS, *NORMALS) and header.counts[i] == 1
     ]
-
-
-def _stacked(columns: dict[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray | None:
-    if not all(name in columns for name in names):
-        return None
-    # Damaged numbers may be signalling NaNs, of which NumPy would warn.
-    with np.errstate(invalid="ignore"):
-        return np.stack([columns[name] for name in names], axis=1).astype(np.float64)
 
 
 def _truncated(path: Path, header: _Header) -> InputError:

@@ -10,34 +10,28 @@ import os
 import re
 import struct
 from array import array
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from warpdef.errors import InputError
+from warpdef.files.columns import PASSED_OVER, POINTS, named_surface, plain_numbers, roles_of
 from warpdef.files.disk import read_bytes, replacing
-from warpdef.files.surface import NamedImages, Surface, byte_colors, fan_triangles
+from warpdef.files.surface import NamedImages, Surface, fan_triangles
 from warpdef.mesh import check_faces
 
-_TYPES = {
-    **{
-        "char": "i1",
-        "uchar": "u1",
-        "short": "i2",
-        "ushort": "u2",
-        "int": "i4",
-        "uint": "u4",
-        "float": "f4",
-        "double": "f8",
-    },
-    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
-    **{"float32": "f4", "float64": "f8"},
-}
+_NAMED_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "bool": "u1"}
+_NAMED_TYPES |= {"float": "f4", "double": "f8", "half": "f2", "long": "i8", "ulong": "u8"}
+_SIZED_TYPE = re.compile(r"(u?int|float)(8|16|32|64)")
 _ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER_MAX = 1 << 20
 _BLOCK = 1 << 20  # bytes of text that become numbers at once
 _BLANK = re.compile(rb"\s")
+_ELEMENTS = {"vertices": "vertex", "points": "vertex", "point": "vertex", "faces": "face"}
+_PLACES_ON_IMAGE = ("s", "t", "u", "v", "texture_u", "texture_v")
+_BOM = b"\xef\xbb\xbf"
 
 
 @dataclass
@@ -63,25 +57,22 @@ class _Element:
 def read_ply(path: Path) -> Surface:
     """Points, normals (``nx ny nz``), colours, texture coordinates and faces of a PLY file.
 
-    Colours are ``red green blue`` and perhaps ``alpha``, bytes or fractions of 1; texture coordinates are ``s t``,
-    ``u v`` or ``texture_u texture_v`` of a vertex, or ``texcoord`` of a triangle's corners. The image is named by
-    ``comment TextureFile``, as MeshLab has it.
+    Normals and colours may be called anything that ``columns.role_of`` knows; other properties are passed over by their
+    size. Colours are bytes or fractions of 1; texture coordinates are ``s t``, ``u v`` or ``texture_u texture_v`` of a
+    vertex, or ``texcoord`` of a triangle's corners. The image is named by ``comment TextureFile``, as MeshLab has it.
 
     Raises:
         InputError: not a PLY file, a damaged header, no x, y, z, or fewer data than the header declares.
     """
-    data = read_bytes(path)
-    elements, ascii_body, offset = _parse_header(data, str(path))
+    data = read_bytes(path).removeprefix(_BOM)
+    header, offset = _header_lines(data, str(path))
+    elements, ascii_body = _parse_header(header, str(path))
     buffer = _numbers(data[offset:], str(path)) if ascii_body else memoryview(data)[offset:]
-    points = normals = faces = colors = uv = corner_uv = None
+    surface = faces = uv = corner_uv = None
     for element in elements:
         columns, buffer = _read_element(element, buffer, str(path))
         if element.name == "vertex":
-            points = _three_columns(columns, ("x", "y", "z"))
-            normals = _three_columns(columns, ("nx", "ny", "nz"))
-            colors, uv = _colors(columns, element), _texture(columns)
-            if points is None:
-                raise InputError(f"{path}: expected vertex properties x, y, z, got {', '.join(columns) or 'none'}")
+            surface, uv = _vertices(columns, element, str(path)), _texture(columns)
         elif element.name == "face":
             indices = columns.get("vertex_indices", columns.get("vertex_index"))
             if isinstance(indices, tuple):
@@ -89,37 +80,58 @@ def read_ply(path: Path) -> Surface:
                 wedges = columns.get("texcoord")
                 if isinstance(wedges, tuple) and (indices[1] == 3).all() and (wedges[1] == 6).all():
                     corner_uv = wedges[0].reshape(-1, 3, 2).astype(np.float64)
-    if points is None:
+    if surface is None:
         raise InputError(f"{path}: expected an element 'vertex' in the PLY header, got none; export the points")
-    names = re.findall(rb"^comment TextureFile[ \t]+(\S.*)", data[:offset], re.MULTILINE)
-    named = NamedImages(images=tuple(os.fsdecode(name.rstrip()) for name in names))
-    return Surface(points, normals, faces, colors, uv, corner_uv, named)
+    names = [line.split(None, 2)[2] for line in header if re.match(r"comment TextureFile[ \t]+\S", line)]
+    named = NamedImages(images=tuple(os.fsdecode(name.rstrip().encode("latin-1")) for name in names))
+    return replace(surface, faces=faces, uv=uv, corner_uv=corner_uv, named=named)
 
 
-def _parse_header(data: bytes, where: str) -> tuple[list[_Element], bool, int]:
-    """Elements, whether the body is ASCII, and where the body starts."""
-    if not data.startswith(b"ply"):
+def _vertices(columns: dict, element: _Element, where: str) -> Surface:
+    """Points, normals and colours by the names of their properties."""
+    single = [name for name, column in columns.items() if isinstance(column, np.ndarray)]
+    named = dict(zip(roles_of(single), single, strict=True))
+    named.pop(PASSED_OVER, None)
+    if not set(POINTS) <= set(named):
+        raise InputError(f"{where}: expected vertex properties x, y, z, got {', '.join(columns) or 'none'}")
+    passed = [name for name in columns if name not in named.values() and name not in _PLACES_ON_IMAGE]
+    whole = element.is_whole.get(named.get("red", ""), False)
+    return named_surface({role: columns[name] for role, name in named.items()}, passed, whole)
+
+
+def _header_lines(data: bytes, where: str) -> tuple[list[str], int]:
+    """Lines of the header behind the first, and where the body starts."""
+    if data[:3].lower() != b"ply":
         raise InputError(f"{where}: expected a PLY file, got one that does not start with 'ply'; check its suffix")
-    end = re.search(rb"\nend_header[ \t]*\r?\n", data[:_HEADER_MAX])
+    # A body may begin with any byte, so that the first line tells what ends the last.
+    first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data[:100], re.IGNORECASE)
+    line_end = first[1] if first else b"\n"
+    ending = rb"\r?\n" if line_end != b"\r" else rb"\r"
+    end = re.search(rb"[\r\n]end_header[ \t]*" + ending, data[:_HEADER_MAX], re.IGNORECASE)
     if end is None:
         raise InputError(f"{where}: the PLY header has no end; the file is truncated: write it again")
+    return data[: end.start()].decode("latin-1").splitlines()[1:], end.end()
+
+
+def _parse_header(lines: Sequence[str], where: str) -> tuple[list[_Element], bool]:
+    """Elements, and whether the body is ASCII."""
     elements: list[_Element] = []
     form, order = None, ""
-    for line in data[: end.start()].decode("latin-1").splitlines()[1:]:
-        words = line.split()
+    for line in lines:
+        words = line.lower().split()
         if not words or words[0] in ("comment", "obj_info"):
             continue
         try:
             if words[0] == "format":
                 form, order = words[1], _ORDERS[words[1]]
             elif words[0] == "element":
-                elements.append(_Element(words[1], int(words[2])))
+                elements.append(_Element(_ELEMENTS.get(words[1], words[1]), int(words[2])))
             elif words[0] == "property" and words[1] == "list":
                 length, value = (_value_type(w, form, order) for w in words[2:4])
                 elements[-1].properties.append((words[4], value, length))
             elif words[0] == "property":
                 elements[-1].properties.append((words[2], _value_type(words[1], form, order), None))
-                elements[-1].is_whole[words[2]] = _TYPES[words[1]][0] in "iu"
+                elements[-1].is_whole[words[2]] = _known_type(words[1])[0] in "iu"
             else:
                 raise KeyError
         except (KeyError, IndexError, ValueError):
@@ -128,15 +140,25 @@ def _parse_header(data: bytes, where: str) -> tuple[list[_Element], bool, int]:
             raise InputError(f"{where}: PLY header: expected counts from 0, got {elements[-1].count}")
     if form is None:
         raise InputError(f"{where}: PLY header: expected a 'format' line, got none; write the file again")
-    return elements, form == "ascii", end.end()
+    return elements, form == "ascii"
+
+
+def _known_type(word: str) -> str:
+    sized = _SIZED_TYPE.fullmatch(word)
+    return (
+        _NAMED_TYPES[word]
+        if sized is None
+        else {"uint": "u", "int": "i", "float": "f"}[sized[1]] + str(int(sized[2]) // 8)
+    )
 
 
 def _value_type(word: str, form: str | None, order: str) -> np.dtype:
-    known = _TYPES[word]
+    known = _known_type(word)
     return np.dtype("<f8") if form == "ascii" else np.dtype(order + known)
 
 
 def _numbers(body: bytes, where: str) -> memoryview:
+    body = plain_numbers(body)
     # Block by block: as words the numbers would take twenty times the memory.
     numbers, at = array("d"), 0
     try:
@@ -181,7 +203,8 @@ def _require_bytes(element: _Element, needed: int, buffer: memoryview, where: st
 
 def _list_length(buffer: memoryview, at: int, kind: np.dtype, element: _Element, where: str) -> int:
     _require_bytes(element, at + kind.itemsize, buffer, where)
-    length = struct.unpack_from(("<" if kind.str[0] != ">" else ">") + kind.char, buffer, at)[0]
+    code = {"i8": "q", "u8": "Q"}.get(kind.str[1:], kind.char)  # NumPy has other letters for 8 bytes
+    length = struct.unpack_from(("<" if kind.str[0] != ">" else ">") + code, buffer, at)[0]
     if not length >= 0 or length != length // 1:
         raise InputError(f"{where}: '{element.name}': expected list lengths from 0, got {length}; the file is damaged")
     _require_bytes(element, at + kind.itemsize + int(min(length, 1e18)), buffer, where)
@@ -220,27 +243,8 @@ def _walk_rows(element: _Element, buffer: memoryview, where: str) -> tuple[dict,
     return columns, buffer[at:]
 
 
-def _three_columns(columns: dict, names: tuple[str, str, str]) -> np.ndarray | None:
-    found = [column for name in names if isinstance(column := columns.get(name), np.ndarray)]
-    if len(found) < 3:
-        return None
-    # A damaged file may hold signalling NaNs, of which NumPy would warn; they are refused later by their frame's name.
-    with np.errstate(invalid="ignore"):
-        return np.stack(found, axis=1).astype(np.float64)
-
-
-def _colors(columns: dict, element: _Element) -> np.ndarray | None:
-    names = [name for name in ("red", "green", "blue", "alpha") if isinstance(columns.get(name), np.ndarray)]
-    if names[:3] != ["red", "green", "blue"]:
-        return None
-    found = np.stack([columns[name] for name in names], axis=1)
-    if found.dtype == np.uint8:
-        return found
-    return byte_colors(found, element.is_whole["red"])
-
-
 def _texture(columns: dict) -> np.ndarray | None:
-    for pair in (("s", "t"), ("u", "v"), ("texture_u", "texture_v")):
+    for pair in zip(_PLACES_ON_IMAGE[0::2], _PLACES_ON_IMAGE[1::2], strict=True):
         found = [column for name in pair if isinstance(column := columns.get(name), np.ndarray)]
         if len(found) == len(pair):
             with np.errstate(invalid="ignore"):

@@ -38,6 +38,7 @@ class Surface:
     named:     images that the file names, not opened
     texture:   the image, once it is read
     notes:     why it is missing, a line each
+    columns:   what was taken and what was passed over, where columns have names or had to be told apart
     """
 
     points: np.ndarray
@@ -49,6 +50,7 @@ class Surface:
     named: NamedImages = NamedImages()
     texture: Texture | None = None
     notes: tuple[str, ...] = ()
+    columns: str = ""
 
 
 def fan_triangles(indices: np.ndarray, counts: Sequence[int] | np.ndarray, where: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""OBJ, OFF and XYZ files in. Text only; vertex order as in the file, nothing merged."""
+"""OBJ and OFF files in. Text only; vertex order as in the file, nothing merged."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from warpdef.errors import InputError
+from warpdef.files.columns import plain_numbers
 from warpdef.files.disk import read_bytes
 from warpdef.files.surface import NamedImages, Surface, byte_colors, fan_triangles, vertex_or_corner_uv
 
@@ -139,51 +140,6 @@ def read_off(path: Path) -> Surface:
     return Surface(columns[:, :3], columns[:, 3:] if has_normals else None, faces)
 
 
-def read_xyz(path: Path) -> Surface:
-    """Rows of 3 columns (positions) or 6 (and normals); blanks or commas between, comments after ``#``, ``//``, ``;``.
-
-    Raises:
-        InputError: other columns, something that is no number, or colours where normals should be.
-    """
-    text = read_bytes(path).replace(b",", b" ")
-    if any(mark in text for mark in (b"#", b"//", b";")):
-        text = re.sub(rb"(#|//|;)[^\r\n]*", b"", text)
-    rows = _Rows(f"{path}: row")
-    for number, line in _lines(text):
-        words = line.split()
-        if words:
-            if len(words) not in (3, 6) or len(words) != (rows.width or len(words)):
-                expected = f"{rows.width} columns as before" if rows.width else "3 columns (x y z) or 6 (and normals)"
-                raise InputError(f"{path}: line {number}: expected {expected}, got {len(words)}: {_shown(line)}")
-            rows.add(words)
-    return split_columns(rows.table(), str(path))
-
-
-def split_columns(columns: np.ndarray, where: str) -> Surface:
-    """Positions and, with 6 columns, normals; shape (N, 3) or (N, 6), any type; the result is float64.
-
-    Raises:
-        InputError: another shape, or colours in columns 4 to 6: nowhere negative, and not of unit length.
-    """
-    if columns.ndim != 2 or columns.shape[1] not in (3, 6):
-        raise InputError(f"{where}: expected shape (N, 3), or (N, 6) with normals, got {columns.shape}")
-    with np.errstate(invalid="ignore", over="ignore"):
-        columns = np.asarray(columns, dtype=np.float64)
-    if columns.shape[1] == 3:
-        return Surface(columns)
-    normals = columns[:, 3:]
-    if len(normals) and (normals >= 0).all() and not _all_unit(normals):
-        raise InputError(
-            f"{where}: expected normals in columns 4 to 6, got what looks like colours; keep columns 1 to 3"
-        )
-    return Surface(columns[:, :3], normals)
-
-
-def _all_unit(normals: np.ndarray) -> bool:
-    with np.errstate(over="ignore", invalid="ignore"):
-        return bool((np.abs(np.linalg.norm(normals, axis=1) - 1) <= 0.05).all())
-
-
 class _Rows:
     """Rows of words that become float64 block by block: as words they would take thirty times the memory.
 
@@ -219,12 +175,14 @@ class _Rows:
 
     def _convert(self) -> None:
         words, self._words = self._words, []
-        try:
-            if all(len(row) == self.width for row in words):
-                self._numbers.extend([float(word) for row in words for word in row])
-                return
-        except ValueError:
-            pass
+        for plain in (False, True):
+            words = [[plain_numbers(word) for word in row] for row in words] if plain else words
+            try:
+                if all(len(row) == self.width for row in words):
+                    self._numbers.extend([float(word) for row in words for word in row])
+                    return
+            except ValueError:
+                pass
         for number, row in enumerate(words, self.count - len(words)):
             try:
                 if len([float(word) for word in row]) == self.width:
