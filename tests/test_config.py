@@ -19,6 +19,7 @@ FREE = ([], [True, False])
 BOUNDS: dict[str, tuple[list, list]] = {
     "frames": (["3", "a:b", "1:2:0", "1:2:3:4", "1.5:2"], ["", ":", "10:27", "::2", "-5:", "27:10:-1"]),
     "points": ([-1, 1, 9], [0, 10, 5000]),
+    "columns": ([], ["", "x,y,z,nx,ny,nz"]),
     "drop_strays": FREE,
     "drop_odd_frames": FREE,
     "fill": ([0, -0.5, 1.01], [0.5, 1]),

@@ -292,6 +292,8 @@ class Config:
     """Frames used, ``start:stop:step`` as a Python slice; empty: all."""
     points: int = 0
     """Points a frame, drawn without replacement; 0: all."""
+    columns: str = ""
+    """Columns of tables without names, as ``x,y,z,nx,ny,nz,r,g,b``, ``_`` for one to pass over; empty: by values."""
     drop_strays: bool = True
     """Leave out points that belong to no surface: single ones and loose clusters far from it; clean clouds keep all."""
     drop_odd_frames: bool = True

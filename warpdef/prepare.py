@@ -113,7 +113,9 @@ def read_input(path: Path, config: Config, strict: bool = False) -> PointSequenc
     """
     # Of a frame far larger than asked for only a part is held; the method draws from it.
     kept = READ_FACTOR * config.points
-    return read_clouds(path, parse_slice(config.frames), strict=strict, points=kept, seed=config.seed)
+    return read_clouds(
+        path, parse_slice(config.frames), strict=strict, points=kept, seed=config.seed, columns=config.columns
+    )
 
 
 def clean(sequence: PointSequence, config: Config) -> PointSequence:
