@@ -43,6 +43,7 @@ def other_value(key: str, default: object) -> object:
         "optimiser.decay": "constant",
         "template.depth": 9,
         "refine.noisy_thickness": 0.7,
+        "columns": "x,y,z",
     }
     if key in special:
         return special[key]
