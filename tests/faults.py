@@ -146,15 +146,15 @@ def no_numbers(bench: Bench) -> bool:
     def poison() -> None:
         from warpdef.fit.optimise import Optimiser
 
-        step, left = Optimiser.step, [1]
+        step, left = Optimiser.iterate, [1]
 
         def poisoned(self: Optimiser) -> None:
             if self.done == iteration and left:
                 left.pop()
-                self._u.fill_(bad)
+                self.grids.u.fill_(bad)
             step(self)
 
-        Optimiser.step = poisoned
+        Optimiser.iterate = poisoned
 
     results = []
     for _ in range(2):

@@ -189,7 +189,7 @@ def test_running_out_in_the_middle(rng: np.random.Generator, monkeypatch) -> Non
     def full(self) -> None:
         raise RuntimeError("Failed to allocate 4096 bytes on device 'cuda:0'")
 
-    monkeypatch.setattr(Optimiser, "step", full)
+    monkeypatch.setattr(Optimiser, "iterate", full)
     moving = synthetic.turning_ellipsoid(3, 200, rng)
     template = warpdef.TriMesh(moving.vertices[1], moving.faces)
     with pytest.raises(DeviceError, match="out of memory on .*: the run needs about"):

@@ -41,7 +41,7 @@ class Run:
             self.optimiser = Optimiser(problem, iterations, team)
             self.losses, self.chamfer = [], []
             for _ in range(iterations):
-                self.optimiser.step()
+                self.optimiser.iterate()
                 self.losses.append(self.optimiser.look())
                 objective = self.optimiser.objective
                 self.chamfer.append(float(objective.input.loss.numpy().sum() + objective.transform.loss.numpy().sum()))
@@ -194,7 +194,7 @@ def test_preparing_changes_nothing(ellipsoid, device: str) -> None:
     assert prepared.done == 0
     np.testing.assert_array_equal(prepared.vertices(), np.tile(ellipsoid.vertices[1].astype(np.float32), (4, 1, 1)))
     for _ in range(5):
-        prepared.step()
+        prepared.iterate()
     assert_same_way(prepared.vertices(), Run(ellipsoid, config, device, 5).vertices, 0.0, device)
 
 

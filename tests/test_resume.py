@@ -137,8 +137,8 @@ def test_cut_short_again_and_again(tmp_path: Path) -> None:
 def test_what_searches_remember_is_only_for_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Why a checkpoint leaves the searches out: they answer exactly, whether or not they have been asked before."""
     whole = fit(quick())
-    step, round_ = Optimiser.step, Refinement.step
-    monkeypatch.setattr(Optimiser, "step", lambda self: (self.objective.forget(), step(self))[1])
+    step, round_ = Optimiser.iterate, Refinement.step
+    monkeypatch.setattr(Optimiser, "iterate", lambda self: (self.objective.forget(), step(self))[1])
     monkeypatch.setattr(Refinement, "step", lambda self: (self.objective.forget(), round_(self))[1])
     assert_same(fit(quick()), whole)
     assert callable(Objective.forget)
@@ -232,18 +232,18 @@ def test_the_time_limit_gives_the_best_state_so_far_and_can_be_gone_on_from(tmp_
     path, config = tmp_path / "c", quick()
     now = {"seconds": 0.0}
     monkeypatch.setattr(Limits, "seconds", property(lambda self: now["seconds"]))
-    step = Optimiser.step
+    step = Optimiser.iterate
 
     def counted(self: Optimiser) -> None:
         step(self)
         now["seconds"] = 70.0 if self.done == 33 else now["seconds"]
 
-    monkeypatch.setattr(Optimiser, "step", counted)
+    monkeypatch.setattr(Optimiser, "iterate", counted)
     result = fit(config, checkpoint=path, checkpoint_seconds=1e6, seconds_max=100.0)
     assert result.report["stopped"] == "time limit of 100 s" and not result.report["interrupted"]
     assert result.report["iterations"] == 33 and result.report["refine"]["rounds"] == 6
     assert [s["iteration"] for s in result.steps] == [10, 20, 30, 33]
-    monkeypatch.setattr(Optimiser, "step", step)
+    monkeypatch.setattr(Optimiser, "iterate", step)
     assert_same(fit(resume=path), fit(config))
 
 
@@ -280,7 +280,8 @@ def test_limits() -> None:
 
 def poison(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, iteration: int, bad: float, times: int = 1) -> None:
     """Fill an array with something not finite before this iteration (or round), so many times."""
-    step, left = owner.step, [times]
+    method = "iterate" if owner is Optimiser else "step"
+    step, left = getattr(owner, method), [times]
 
     def poisoned(self) -> None:
         if self.done == iteration and left[0]:
@@ -288,14 +289,14 @@ def poison(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, iteration: i
             (self._state() if owner is Optimiser else self.state())[name].fill_(bad)
         step(self)
 
-    monkeypatch.setattr(owner, "step", poisoned)
+    monkeypatch.setattr(owner, method, poisoned)
 
 
 @pytest.mark.parametrize("name", ["u", "second", "nodes", "shape", "shape_u"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_steps_without_numbers_are_undone_at_half_the_rate(name: str, bad: float, monkeypatch) -> None:
     """The same as a run whose rate was halved by hand at the iteration that all went back to."""
-    halved = Optimiser.step
+    halved = Optimiser.iterate
 
     def by_hand(self: Optimiser) -> None:
         if self.done == 30:
@@ -303,7 +304,7 @@ def test_steps_without_numbers_are_undone_at_half_the_rate(name: str, bad: float
         halved(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Optimiser, "step", by_hand)
+        patch.setattr(Optimiser, "iterate", by_hand)
         expected = fit(quick())
     poison(monkeypatch, Optimiser, name, 34, bad)
     heard: list[str] = []
@@ -350,14 +351,14 @@ def test_what_no_rate_can_mend(monkeypatch) -> None:
 
 def test_stopped_among_steps_without_numbers(monkeypatch) -> None:
     poison(monkeypatch, Optimiser, "u", 34, np.nan)
-    step = Optimiser.step
+    step = Optimiser.iterate
 
     def stopping(self: Optimiser) -> None:
         step(self)
         if self.done == 36:
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(Optimiser, "step", stopping)
+    monkeypatch.setattr(Optimiser, "iterate", stopping)
     result = fit(quick())
     assert result.report["iterations"] == 30 and np.isfinite(result.vertices).all()
 

@@ -100,7 +100,7 @@ class Bed:
             optimiser = Optimiser(self.problem, size.iterations, team)
             settle = max(size.warmup + 1, size.iterations // 4)
             while optimiser.done < settle + _SNAPSHOTS:
-                optimiser.step()
+                optimiser.iterate()
                 if optimiser.done > settle:
                     moved.append(optimiser.objective.input.points.numpy().copy())
                     vertices.append(optimiser.objective.vertices.numpy().reshape(-1, 3).copy())

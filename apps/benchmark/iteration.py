@@ -179,7 +179,7 @@ def descend(work: Work, size: Size, device: wp.Device, threads: int, tree_worker
             for _ in range(count):
                 if watched:
                     team.next_iteration()
-                times.append(clock.seconds(optimiser.step))
+                times.append(clock.seconds(optimiser.iterate))
             if watched:
                 phases.extend(team.phases or [])
                 for key, seconds in (team.kernels or {}).items():
@@ -239,11 +239,11 @@ def kernel_milliseconds_cuda(work: Work, size: Size, device: wp.Device) -> dict[
     with closing(Team(1)) as team:
         optimiser = Optimiser(problem, size.iterations, team, capture=False)
         while optimiser.done < size.iterations // 4 + size.warmup:
-            optimiser.step()
+            optimiser.iterate()
         wp.synchronize_device(device)
         wp.timing_begin(cuda_filter=wp.TIMING_KERNEL)
         for _ in range(_PROFILED):
-            optimiser.step()
+            optimiser.iterate()
         for result in wp.timing_end():
             seconds[result.name] += result.elapsed / _PROFILED
     return dict(seconds)

@@ -154,16 +154,16 @@ def _measure(request: dict[str, Any]) -> dict[str, Any]:
         build = mark()
         optimiser.prepare()
         compiled = mark()
-        optimiser.step()
+        optimiser.iterate()
         wp.synchronize_device(device)
         step = mark()
         clock = Clock(device)
         while optimiser.done < request["warmup"]:
-            optimiser.step()
+            optimiser.iterate()
         times, work_times = [], []
         for _ in range(request["iterations"] - (request["warmup"] == 0)):
             before = time.process_time()
-            times.append(clock.seconds(optimiser.step))
+            times.append(clock.seconds(optimiser.iterate))
             work_times.append(time.process_time() - before)
         losses = optimiser.look()
         first = int(_DISCARDED * len(times))

@@ -1,6 +1,4 @@
-"""One step of preconditioned Adam on grids and template (paper, sec. Spatial Smoothness and Implementation Details).
-
-    u: what Adam moves     x = (I + lambda L)^-1 u: what the objective sees     g_u = (I + lambda L)^-1 g_x
+"""The descent on grids and template: preconditioned Adam (paper, sec. Spatial Smoothness, Implementation Details).
 
 Grids and template start from x = 0 and the mesh, u = (I + lambda L) x.
 """
@@ -14,10 +12,10 @@ import numpy as np
 import warp as wp
 
 from warpdef.fit.objective import Objective
+from warpdef.fit.parameters import Parameters
 from warpdef.fit.problem import Problem
-from warpdef.fit.sobolev import SolveReport, grid_solver, solver_name, template_solvers
+from warpdef.fit.sobolev import Solver, SolveReport, grid_solver, solver_name, template_solvers
 from warpdef.fit.workers import Iteration, Phase, Task, Team
-from warpdef.kernels.adam import adam
 from warpdef.kernels.finite import flag_not_finite
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import template_gradient
@@ -37,36 +35,22 @@ class Optimiser:
         self.problem, self.iterations = problem, iterations
         self.config = problem.config.optimiser
         self.done = 0
-        device = problem.device
-        shape = (len(problem.transitions), problem.levels.node_count)
-
-        self._step = wp.zeros(1, dtype=wp.int32, device=device)
+        device, config = problem.device, problem.config
+        self._iteration = wp.zeros(1, dtype=wp.int32, device=device)
         self._schedule = wp.zeros(SCHEDULE_SIZE, dtype=wp.float32, device=device)
-        node_arrays = (wp.zeros(shape, dtype=node8, device=device) for _ in range(6))
-        self._u, self.nodes, self._adj_nodes, self._adj_u, self._first, self._second = node_arrays
-        self._shape_u, self._adj_shape, self._adj_shape_u, self._shape_first, self._shape_second = (
-            wp.zeros(problem.vertex_count, dtype=wp.vec3, device=device) for _ in range(5)
-        )
-        self._shape_u.assign(_unsolve(problem))
-        self.objective = Objective(problem, self.nodes, self._adj_nodes, self._schedule)
-        # The template apart from the keyframe's row of vertices, which other tasks read while it changes.
-        self._shape = problem.vectors(problem.template)
-
-        sobolev = problem.config.sobolev
-        factor = 1.0 if sobolev.enabled else sobolev.unpreconditioned_rate
-        coarsest_first = self.config.rate * self.config.rate_growth ** np.arange(
-            problem.config.grid.coarsest - 1, problem.config.grid.levels
-        )
-        # What a keyframe does not show of a template given is known from the template alone: it stays.
-        shape_rate = self.config.template_rate if problem.measures.complete[problem.transitions.keyframe] else 0.0
-        self._rates = factor * coarsest_first[problem.levels.node_level()], np.array([factor * shape_rate])
-        self._rate, self._shape_rate = (problem.numbers(rate) for rate in self._rates)
-        self.rate_scale = 1.0
-
+        grid_rates, shape_rates = _rates(problem)
         # Two of each: a conjugate-gradient solver starts from its own last solution.
-        solvers = [grid_solver(problem.config, problem.levels, problem.kept, device) for _ in range(2)]
-        self._pull_grid, self._push_grid = solvers
-        self._pull_shape, self._push_shape = template_solvers(problem.config, problem.mesh, device)
+        on_grids = [grid_solver(config, problem.levels, problem.kept, device) for _ in range(2)]
+        how = (self.config, self._schedule)
+        shape, count = (len(problem.transitions), problem.levels.node_count), problem.vertex_count
+        self.grids = Parameters(problem.pool, "grids", node8, shape, grid_rates, (on_grids[0], on_grids[1]), *how)
+        on_shape = template_solvers(config, problem.mesh, device)
+        self.shape = Parameters(problem.pool, "shape", wp.vec3, (count,), shape_rates, on_shape, *how)
+        # The template apart from the keyframe's row of vertices, which other tasks read while it changes.
+        self.shape.x.assign(problem.template.astype(np.float32))
+        self.shape.u.assign(_unsolve(problem))
+        self.objective = Objective(problem, self.grids.x, self.grids.adj_x, self._schedule)
+        self.rate_scale = 1.0
         self.solves = SolveReport(solver_name(problem.config))
         self._not_finite = wp.zeros(1, dtype=wp.int32, device=device)
         self._kept: dict[str, wp.array] = {}
@@ -77,7 +61,7 @@ class Optimiser:
         self._full = Iteration(self._phases(warmup=False), device, team, capture)
 
     def prepare(self) -> None:
-        """Compile every kernel, so that the first step costs what the others do."""
+        """Compile every kernel, so that the first iteration costs what the others do."""
         self.finite()
         if self.problem.device.is_cpu:
             self._warmup.prepare()
@@ -85,19 +69,24 @@ class Optimiser:
         else:
             wp.load_module("warpdef.kernels", device=self.problem.device, recursive=True)
 
+    @property
+    def nodes(self) -> wp.array:
+        """The deformation grids, shape (S, M) node8."""
+        return self.grids.x
+
     # State: what an iteration leaves for the next. Searches remember more, but only to be quick: they are exact.
 
     def _state(self) -> dict[str, wp.array]:
-        state = {
-            **{"step": self._step, "u": self._u, "nodes": self.nodes, "first": self._first, "second": self._second},
-            **{"shape_u": self._shape_u, "shape": self._shape},
-            **{"shape_first": self._shape_first, "shape_second": self._shape_second},
-        }
-        solvers = {"pull_grid": self._pull_grid, "push_grid": self._push_grid}
-        solvers |= {"pull_shape": self._pull_shape, "push_shape": self._push_shape}
-        for name, solver in solvers.items():
+        g, s = self.grids, self.shape
+        state = {"step": self._iteration, "u": g.u, "nodes": g.x, "shape_u": s.u, "shape": s.x}
+        state |= {"first": g.first_moment, "second": g.second_moment}
+        state |= {"shape_first": s.first_moment, "shape_second": s.second_moment}
+        for name, solver in zip(("pull_grid", "push_grid", "pull_shape", "push_shape"), self._solvers(), strict=True):
             state |= {f"{name}_{i}": a for i, a in enumerate(solver.memory())}
         return state
+
+    def _solvers(self) -> list[Solver]:
+        return [solver for p in (self.grids, self.shape) for solver in (p.gradient_solver, p.value_solver)]
 
     def finite(self) -> bool:
         """Whether everything that iterations build on is finite. Waits for the device."""
@@ -123,8 +112,8 @@ class Optimiser:
     def slow_down(self, scale: float) -> None:
         """From now on learning rates are ``scale`` times the configured ones."""
         self.rate_scale = scale
-        for array, rate in zip((self._rate, self._shape_rate), self._rates, strict=True):
-            array.assign((scale * rate).astype(np.float32))
+        self.grids.slow_down(scale)
+        self.shape.slow_down(scale)
 
     def kept(self) -> dict[str, np.ndarray]:
         """The state remembered, by name; valid until the next ``keep``."""
@@ -146,14 +135,14 @@ class Optimiser:
         self.slow_down(rate_scale)
         self.keep()
 
-    def step(self) -> None:
+    def iterate(self) -> None:
         """One iteration; on CUDA it returns before the device is done."""
         (self._warmup if self.done < self.config.warmup else self._full).run()
         self.done += 1
 
     def look(self) -> dict[str, float]:
         """Losses of the last iteration; notes what the solves did. Waits for the device."""
-        for solver in (self._pull_grid, self._push_grid, self._pull_shape, self._push_shape):
+        for solver in self._solvers():
             solver.look(self.solves)
         return self.objective.losses()
 
@@ -171,57 +160,46 @@ class Optimiser:
 
     def _advance(self) -> None:
         c = self.config
-        advance(self.iterations, c.decay == "cosine", c.beta1, c.beta2, self._step, self._schedule)
+        advance(self.iterations, c.decay == "cosine", c.beta1, c.beta2, self._iteration, self._schedule)
         self._place_template()
 
     def _place_template(self) -> None:
-        copy_vectors(self._shape, self.objective.vertices[self.problem.transitions.keyframe])
+        copy_vectors(self.shape.x, self.objective.vertices[self.problem.transitions.keyframe])
 
     def _descend(self, first: int, last: int) -> None:
         """Adam on the grids of transitions ``first .. last``; then their gradient is cleared for the next iteration."""
         nodes = self.problem.levels.node_count
-        begin, count = first * nodes, (last - first) * nodes
-        c = self.config
-        state = [a.flatten() for a in (self._adj_u, self._first, self._second, self._u)]
-        adam(begin, count, self._rate, self._schedule, (c.beta1, c.beta2), c.epsilon, *state)
-        clear_nodes(begin, count, self._adj_nodes.flatten())
-
-    def _descend_shape(self) -> None:
-        c = self.config
-        state = [self._adj_shape_u, self._shape_first, self._shape_second, self._shape_u]
-        betas = (c.beta1, c.beta2)
-        adam(0, self.problem.vertex_count, self._shape_rate, self._schedule, betas, c.epsilon, *state)
+        span = (first * nodes, (last - first) * nodes)
+        self.grids.descend(*span)
+        clear_nodes(*span, self.grids.adj_x.flatten())
 
     def _gather_shape(self, warmup: bool) -> None:
         o, key = self.objective, self.problem.transitions.keyframe
         follow = self.problem.config.loss.template_follows_all and not warmup
-        template_gradient(key, follow, o.sums.weighed, o.sums.plain, o.chain.carry, self._adj_shape)
+        template_gradient(key, follow, o.sums.weighed, o.sums.plain, o.chain.carry, self.shape.adj_x)
 
     # Phases.
 
     def _phases(self, warmup: bool) -> list[Phase]:
-        o = self.objective
+        o, grids, shape, spans = self.objective, self.grids, self.shape, self.problem.transition_spans()
         gather = partial(self._gather_shape, warmup)
-        grid = [] if warmup else [o.chain.scatter]
-        pull = partial(self._pull_grid.solve, self._adj_nodes, self._adj_u)
-        push = partial(self._push_grid.solve, self._u, self.nodes)
-        pull_shape = partial(self._pull_shape.solve, self._adj_shape, self._adj_shape_u, 0, 1)
-        push_shape = partial(self._push_shape.solve, self._shape_u, self._shape, 0, 1)
-        spans = self.problem.transition_spans()
+        scatter = [] if warmup else [o.chain.scatter]
+        of_shape = [partial(shape.solve_gradient, 0, 1), partial(shape.descend, 0, self.problem.vertex_count)]
+        place_shape = partial(shape.solve_values, 0, 1)
 
         def each(*calls: Callable[[int, int], None]) -> list[Task]:
             return [partial(_span_in_turn, calls, a, b) for a, b in spans]
 
-        if not self._pull_grid.direct:
-            shape = _in_turn([gather, pull_shape, self._descend_shape, push_shape])
-            last = [Phase("descend", [shape, *each(*grid, pull, self._descend, push)])]
+        if not grids.direct:
+            on_grids = each(*scatter, grids.solve_gradient, self._descend, grids.solve_values)
+            last = [Phase("descend", [_in_turn([gather, *of_shape, place_shape]), *on_grids])]
         else:
             everything = (0, len(self.problem.transitions))
             last = [
-                Phase("gather", [gather, *each(*grid)]),
-                Phase("pull solves", [partial(pull, *everything), pull_shape], direct=True),
-                Phase("descend", [self._descend_shape, *each(self._descend)]),
-                Phase("push solves", [partial(push, *everything), push_shape], direct=True),
+                Phase("gather", [gather, *each(*scatter)]),
+                Phase("gradient solves", [partial(grids.solve_gradient, *everything), of_shape[0]], direct=True),
+                Phase("descend", [of_shape[1], *each(self._descend)]),
+                Phase("value solves", [partial(grids.solve_values, *everything), place_shape], direct=True),
             ]
         return [Phase("advance", [self._advance]), *o.phases(warmup), *last]
 
@@ -237,6 +215,16 @@ def _in_turn(calls: list[Callable[[], None]]) -> Callable[[], None]:
 def _span_in_turn(calls: Sequence[Callable[[int, int], None]], first: int, last: int) -> None:
     for call in calls:
         call(first, last)
+
+
+def _rates(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Learning rates of a transition's nodes, coarsest level first, (M,), and of the template, (1,)."""
+    config, grid, sobolev = problem.config.optimiser, problem.config.grid, problem.config.sobolev
+    factor = 1.0 if sobolev.enabled else sobolev.unpreconditioned_rate
+    by_level = config.rate * config.rate_growth ** np.arange(grid.coarsest - 1, grid.levels)
+    # What a keyframe does not show of a template given is known from the template alone: it stays.
+    shape_rate = config.template_rate if problem.measures.complete[problem.transitions.keyframe] else 0.0
+    return factor * by_level[problem.levels.node_level()], np.array([factor * shape_rate])
 
 
 def _unsolve(problem: Problem) -> np.ndarray:

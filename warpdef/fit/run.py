@@ -67,7 +67,7 @@ class FitRun:
         begun = self.limits.seconds
         self._save_if_due()
         while o.done < o.iterations and not self.stopped:
-            o.step()
+            o.iterate()
             if o.done % LOOK_EVERY == 0 or o.done == o.iterations:
                 self._look()
                 self._save_if_due()
