@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from warpdef.apps.console import clean_stdout
+from warpdef.apps.console import clean_stdout, say
 from warpdef.apps.exit_codes import EXIT_OK
 from warpdef.config import parse_slice
+
+if TYPE_CHECKING:
+    from warpdef.export.animation import Animation
+    from warpdef.rig.decompose import Rig
 
 
 def export(
@@ -26,13 +30,15 @@ def export(
     up: Literal["y", "z"] = "y",
     frames: Annotated[str, Parameter(allow_leading_hyphen=True)] = "",
     metres_per_unit: Annotated[float, Parameter(validator=Number(gt=0))] = 1.0,
+    bones: str = "",
+    precise: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Write a result in another program's format, chosen by the suffix of FILE.
 
-    .glb .usd .usda .usdc .usdz .npz .anime are one file; .pc2 and .mdd come with the base mesh as .obj; .pvd with a
-    folder of .vtp files; .obj and .ply are folders of numbered files. Vertices keep their order and their numbers. The
-    image of a textured template goes to .glb, .usd and its kin, .obj and .ply; the others cannot carry it.
+    .glb .usd .usda .usdc .usdz .npz .anime .bvh are one file; .pc2 and .mdd come with the base mesh as .obj; .pvd
+    with a folder of .vtp files; .obj and .ply are folders of numbered files. Vertices keep their order and their
+    numbers. The image of a textured template goes to .glb, .usd and its kin, .obj and .ply; the others cannot carry it.
 
     Args:
         output: Folder of a reconstruction.
@@ -45,14 +51,21 @@ def export(
         up: The axis that points up in the result; .glb and .usd carry it.
         frames: Frames used, start:stop:step; empty: all.
         metres_per_unit: Length of the result's unit in metres; .glb and .usd carry it.
+        bones: Fit so many rigid bones to the motion, or as many as it needs (--bones auto), and write a mesh that they
+            move: .glb, or the bones alone as .bvh. Small, quick to play, and what animators go on with; the error is
+            reported.
+        precise: Keep float32 in .glb, whose positions else are whole multiples of a small step, which is reported.
         overwrite: Replace an older export.
     """
-    from warpdef.export import check_place, format_of
+    from warpdef.export import check_place, check_rig, format_of
     from warpdef.export import export as write
     from warpdef.export.animation import load_animation
 
     started = time.perf_counter()
-    check_place(file, format_of(file, format), overwrite)
+    form, bone_count = format_of(file, format), parse_bones(bones)
+    rigged = bool(bones) or not form.writer
+    check_place(file, form, overwrite)
+    check_rig(file, form, rigged)
     with clean_stdout():
         animation = load_animation(
             output,
@@ -63,10 +76,52 @@ def export(
             slow=slow,
             recorded_fps=recorded_fps,
         )
-        places = write(animation, file, format=format, overwrite=overwrite)
+        rig = fit_bones(animation, bone_count) if rigged else None
+        places = write(animation, file, format=format, overwrite=overwrite, rig=rig, precise=precise)
     frame_count, vertex_count = animation.vertices.shape[:2]
     report_places(f"{frame_count} frames, {vertex_count} vertices, {len(animation.faces)} faces", places, started)
+    if form.quantised and rig is None:
+        say_quantised(animation, precise)
     return EXIT_OK
+
+
+def parse_bones(text: str) -> int | None:
+    """The number of bones that ``--bones`` asks for; None for ``auto`` and for nothing.
+
+    Raises:
+        InputError: neither a whole number above 0 nor ``auto``.
+    """
+    from warpdef.errors import InputError
+
+    if text in ("", "auto"):
+        return None
+    if not text.isdecimal() or int(text) < 1:
+        raise InputError(f"--bones: expected a whole number above 0, or auto, got '{text}'")
+    return int(text)
+
+
+def fit_bones(animation: Animation, bone_count: int | None) -> Rig:
+    """A rig for an animation; its number of bones and its error go to standard error."""
+    from warpdef.rig.decompose import fit_rig
+
+    rig = fit_rig(animation.vertices, bone_count)
+    mean, most = (100.0 * error / rig.extent for error in (rig.mean_error, rig.max_error))
+    say(
+        f"warpdef: rig of {rig.bone_count} bones: the mesh is {mean:.2f} % of its extent away on average, "
+        f"{most:.1f} % at most"
+    )
+    return rig
+
+
+def say_quantised(animation: Animation, precise: bool) -> None:
+    """What morph targets cost: the step of their numbers, and that many frames are better off with a rig."""
+    from warpdef.export.gltf import TARGETS_MANY, quantisation
+
+    if not precise:
+        step = quantisation(animation.vertices)[1]
+        print(f"positions are multiples of {step:.2g} (--precise keeps float32)")
+    if len(animation) > TARGETS_MANY:
+        say(f"warpdef: {len(animation)} frames are as many morph targets; --bones auto writes a rig, small and quick")
 
 
 def report_places(what: str, places: list[Path], started: float) -> None:

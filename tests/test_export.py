@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import struct
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
 import pytest
+from glb_reader import Glb
 from synthetic import bending_bar
 
 from warpdef.export import FORMATS, export
@@ -39,40 +39,8 @@ def outward(frame: int) -> np.ndarray:
     return total / np.linalg.norm(total, axis=1, keepdims=True)
 
 
-class Glb:
-    """A reader of .glb after the glTF 2.0 specification, sections 3.6.2 and 4.4."""
-
-    TYPES = {5126: "<f4", 5125: "<u4", 5123: "<u2"}
-    COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-
-    def __init__(self, path: Path) -> None:
-        data = path.read_bytes()
-        magic, version, length = struct.unpack_from("<4sII", data)
-        assert (magic, version, length) == (b"glTF", 2, len(data))
-        size, kind = struct.unpack_from("<I4s", data, 12)
-        assert kind == b"JSON" and size % 4 == 0
-        self.json = json.loads(data[20 : 20 + size])
-        rest, kind = struct.unpack_from("<I4s", data, 20 + size)
-        assert kind == b"BIN\0" and rest == self.json["buffers"][0]["byteLength"]
-        self.binary = data[28 + size :]
-        assert len(self.binary) == rest
-
-    def array(self, index: int) -> np.ndarray:
-        accessor = self.json["accessors"][index]
-        view = self.json["bufferViews"][accessor["bufferView"]]
-        columns = self.COLUMNS[accessor["type"]]
-        values = np.frombuffer(
-            self.binary, self.TYPES[accessor["componentType"]], accessor["count"] * columns, view["byteOffset"]
-        )
-        values = values.reshape(accessor["count"], columns)
-        if "min" in accessor:
-            np.testing.assert_array_equal(accessor["min"], values.min(axis=0))
-            np.testing.assert_array_equal(accessor["max"], values.max(axis=0))
-        return values
-
-
 def test_glb_by_its_specification(tmp_path):
-    export(PAINTED, tmp_path / "bar.glb")
+    export(PAINTED, tmp_path / "bar.glb", precise=True)
     glb = Glb(tmp_path / "bar.glb")
     (mesh,), (animation,) = glb.json["meshes"], glb.json["animations"]
     (primitive,) = mesh["primitives"]
@@ -100,7 +68,7 @@ def test_glb_by_its_specification(tmp_path):
 
 def test_glb_by_trimesh(tmp_path):
     trimesh = pytest.importorskip("trimesh")
-    export(PAINTED, tmp_path / "bar.glb")
+    export(PAINTED, tmp_path / "bar.glb", precise=True)
     scene = trimesh.load(tmp_path / "bar.glb", process=False)
     (mesh,) = scene.geometry.values()
     np.testing.assert_array_equal(mesh.vertices.astype(np.float32), VERTICES[0])
@@ -113,14 +81,14 @@ def test_glb_by_trimesh(tmp_path):
 
 
 def test_glb_without_extras_stands_as_it_is(tmp_path):
-    export(PLAIN, tmp_path / "bar.glb")
+    export(PLAIN, tmp_path / "bar.glb", precise=True)
     glb = Glb(tmp_path / "bar.glb")
     assert set(glb.json["nodes"][0]) == {"mesh", "name"}
     assert set(glb.json["meshes"][0]["primitives"][0]["attributes"]) == {"POSITION", "NORMAL"}
 
 
 def test_glb_of_one_frame_has_no_animation(tmp_path):
-    export(Animation(PLAIN.meshes.select(slice(2, 3))), tmp_path / "bar.glb")
+    export(Animation(PLAIN.meshes.select(slice(2, 3))), tmp_path / "bar.glb", precise=True)
     glb = Glb(tmp_path / "bar.glb")
     assert "animations" not in glb.json and "targets" not in glb.json["meshes"][0]["primitives"][0]
     np.testing.assert_array_equal(glb.array(0), VERTICES[2])
@@ -303,4 +271,5 @@ def test_linear_colors_at_known_values():
 
 def test_every_format_has_a_test_here():
     text = Path(__file__).read_text()
+    text += (Path(__file__).parent / "test_export_rig.py").read_text()
     assert [name for name in FORMATS if f"bar.{name}" not in text and f'"{name}"' not in text and name != "pvd"] == []

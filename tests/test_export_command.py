@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,10 @@ from warpdef.config import Config
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.export import FORMATS, check_place, export
 from warpdef.export.animation import Animation, load_animation
+from warpdef.export.gltf import quantisation
 from warpdef.files.run_folder import RunFolder
 from warpdef.mesh import MeshSequence
+from warpdef.rig.decompose import fit_rig
 
 BAR = bending_bar(6, 20, np.random.default_rng(0), subdivisions=1)
 VERTICES = BAR.vertices.astype(np.float32)
@@ -64,6 +67,22 @@ def test_flags_reach_the_file(result, place, capfd):
         assert list(stored["names"]) == ["scan1.ply", "scan3.ply", "scan5.ply"]
 
 
+def test_bones_and_precision_are_reported(result, place, capfd):
+    assert run(["export", str(result), str(place / "a.glb"), "--bones", "3"]) == 0
+    out, err = capfd.readouterr()
+    assert out.count("\n") == 1 and err.count("\n") == 1
+    assert re.match(r"warpdef: rig of 3 bones: the mesh is [0-9.]+ % of its extent away on average, [0-9.]+ % at", err)
+    assert run(["export", str(result), str(place / "b.glb")]) == 0
+    out, err = capfd.readouterr()
+    step = float(re.search(r"positions are multiples of (\S+) \(--precise", out)[1])
+    assert step == pytest.approx(quantisation(VERTICES)[1], rel=0.1) and not err
+    assert run(["export", str(result), str(place / "c.glb"), "--precise", "--slow", "25"]) == 0
+    out, err = capfd.readouterr()
+    assert "multiples" not in out and "126 frames" in err and "--bones auto" in err
+    assert run(["export", str(result), str(place / "d.bvh")]) == 0
+    assert entries(place) == ["a.glb", "b.glb", "c.glb", "d.bvh"]
+
+
 def test_negative_frames_and_a_named_format(result, place):
     assert run(["export", str(result), str(place / "meshes"), "--format", "obj", "--frames", "-2:"]) == 0
     assert entries(place / "meshes") == ["0000.obj", "0001.obj"]
@@ -90,8 +109,9 @@ def test_twice_only_with_overwrite(result, place, suffix, capfd):
 
 
 def test_all_formats_of_one_name_stand_side_by_side(place):
+    rig = fit_rig(VERTICES, 2)
     for suffix in without_usd():
-        export(ANIMATION, place / f"a.{suffix}")
+        export(ANIMATION, place / f"a.{suffix}", rig=None if FORMATS[suffix].writer else rig)
     assert len(entries(place)) == len(without_usd()) + 3
 
 
@@ -104,6 +124,10 @@ def test_all_formats_of_one_name_stand_side_by_side(place):
         (["a.plyy"], ["did you mean .ply?"]),
         (["a.glb", "--format", "docx"], ["unknown suffix '.docx'"]),
         (["absent/a.glb"], ["absent", "make it first"]),
+        (["a.glb", "--bones", "0"], ["--bones", "above 0, or auto, got '0'"]),
+        (["a.glb", "--bones", "many"], ["--bones", "'many'"]),
+        (["a.glb", "--bones", "15"], ["--bones: expected 1 to 14 for 42 vertices"]),
+        (["a.obj", "--bones", "2"], [".glb or .bvh for a rig"]),
         (["a.glb", "--fps", "0"], ["--fps"]),
         (["a.glb", "--fps", "nan"], ["--fps"]),
         (["a.glb", "--up", "x"], ["--up"]),
@@ -209,9 +233,11 @@ def test_missing_packages_are_named(place, monkeypatch):
 
 
 def test_a_glb_over_4_gib_is_refused(place, monkeypatch):
-    from warpdef.export import gltf
+    from warpdef.export import gltf_buffer
 
-    monkeypatch.setattr(gltf._Buffer, "size", property(lambda self: 2**32, lambda self, value: None), raising=False)
+    monkeypatch.setattr(
+        gltf_buffer.Buffer, "size", property(lambda self: 2**32, lambda self, value: None), raising=False
+    )
     with pytest.raises(InputError, match="4 GiB.*fewer frames"):
         export(ANIMATION, place / "a.glb")
     assert entries(place) == []

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_export import Glb
+from glb_reader import Glb
 from texture_samples import COLORS, COUNT, FACES, MOVING, PIXELS, PNG, UV, VERTICES, jpg
 
 from warpdef.appearance import Appearance

@@ -1,7 +1,7 @@
 """A moving mesh to a file of another program, the format chosen by the suffix.
 
-A new format is a file with a function ``write(animation, path)`` and a line in ``FORMATS``. Points without faces have
-formats of their own.
+A new format is a file with a function ``write(animation, path)`` and a line in ``FORMATS``; one that holds bones has a
+function ``write(animation, path, rig)``. Points without faces have formats of their own.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import shutil
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from warpdef.errors import InputError
 from warpdef.export.animation import Animation
@@ -22,16 +23,22 @@ from warpdef.export.points import MovingPoints
 from warpdef.files.disk import reason, sibling
 from warpdef.texture import Texture
 
+if TYPE_CHECKING:
+    from warpdef.rig.decompose import Rig
+
 
 @dataclass(frozen=True)
 class Format:
     """One format.
 
-    writer:    ``module:function`` of the package, called with the animation and a path in an empty folder
+    writer:    ``module:function`` of the package, called with the animation and a path in an empty folder; empty where
+               the format holds bones alone
     what:      one line for people
     is_folder: the format's place is a folder of numbered files
     beside:    what is written next to the file, as a pattern over its stem; files end in a suffix, folders do not
     image:     a texture's image is written next to the file, too
+    rigged:    as ``writer``, for a mesh that is moved by a rig, which is its third argument; empty where it holds none
+    quantised: numbers are whole multiples of a step, unless ``precise=True`` is given to ``writer``
     """
 
     writer: str
@@ -39,6 +46,8 @@ class Format:
     is_folder: bool = False
     beside: tuple[str, ...] = ()
     image: bool = False
+    rigged: str = ""
+    quantised: bool = False
 
     def places(self, path: Path, texture: Texture | None = None) -> list[Path]:
         """Everything that an export to ``path`` makes."""
@@ -51,7 +60,12 @@ _USDZ = Format("usd:write_usd", "Universal Scene Description, time samples; need
 _USD = replace(_USDZ, image=True)
 
 FORMATS = {
-    "glb": Format("gltf:write_glb", "binary glTF, a morph target a frame: web, Blender, game engines"),
+    "glb": Format(
+        "gltf:write_glb",
+        "binary glTF, a morph target a frame, or a rig: web, Blender, game engines",
+        rigged="gltf_rig:write_rigged_glb",
+        quantised=True,
+    ),
     "usd": _USD,
     "usda": _USD,
     "usdc": _USD,
@@ -63,6 +77,7 @@ FORMATS = {
     "ply": Format("mesh_folders:write_ply_folder", "a folder of binary PLY files", is_folder=True),
     "npz": Format("archive:write_npz_animation", "NumPy: vertices (T, V, 3), faces, fps, names, up"),
     "anime": Format("anime:write_anime", "DeformingThings4D"),
+    "bvh": Format("", "the bones of a rig, as motion capture has them", rigged="bvh:write_bvh"),
 }
 """Formats of moving meshes by suffix, without the dot."""
 
@@ -123,7 +138,13 @@ def check_place(path: Path | str, form: Format, overwrite: bool = False, texture
 
 
 def export(
-    animation: Animation | MovingPoints, path: Path | str, *, format: str = "", overwrite: bool = False
+    animation: Animation | MovingPoints,
+    path: Path | str,
+    *,
+    format: str = "",
+    overwrite: bool = False,
+    rig: Rig | None = None,
+    precise: bool = False,
 ) -> list[Path]:
     """Write a moving mesh, or moving points, to ``path`` and, for some formats, to places beside it: all, or nothing.
 
@@ -132,24 +153,30 @@ def export(
         path: where to; its suffix chooses the format.
         format: a key of ``FORMATS`` that overrules the suffix.
         overwrite: replace what an earlier export left there.
+        rig: bones that move the mesh in place of the frames themselves, ``fit_rig(animation.vertices)``.
+        precise: float32 where the format's numbers would be quantised.
 
     Returns:
         The places written, ``path`` first.
 
     Raises:
-        InputError: an unknown suffix, a place that is taken, or one that cannot be written.
+        InputError: an unknown suffix, a format without bones for a rig, or with nothing else and no rig, a place that
+            is taken, or one that cannot be written.
         MissingPackageError: the format needs a package that is not installed.
     """
     path = Path(path)
     form = format_of(path, format, isinstance(animation, MovingPoints))
     texture = animation.texture if isinstance(animation, Animation) else None
     check_place(path, form, overwrite, texture)
-    module, function = form.writer.split(":")
+    check_rig(path, form, rig is not None)
+    module, function = (form.writer if rig is None else form.rigged).split(":")
     write = getattr(importlib.import_module(f"warpdef.export.{module}"), function)
+    extras: dict[str, Any] = {} if rig is None else {"rig": rig}
+    extras |= {"precise": True} if precise and form.quantised and rig is None else {}
     stage = sibling(path, "partial")
     try:
         stage.mkdir()
-        write(animation, stage / path.name)
+        write(animation, stage / path.name, **extras)
         places = form.places(path, texture)
         check_place(path, form, overwrite, texture)  # once more: the writing took its time
         for place in reversed(places):  # the file that people name comes last, when all else is there
@@ -159,6 +186,22 @@ def export(
         raise InputError(f"{path}: cannot be written ({reason(error)}); choose another place or free space") from None
     finally:
         shutil.rmtree(stage, ignore_errors=True)
+
+
+def check_rig(path: Path | str, form: Format, rigged: bool) -> None:
+    """Check that a format can hold what it is to hold.
+
+    Args:
+        rigged: a mesh moved by bones; else one given frame by frame.
+
+    Raises:
+        InputError: it cannot; the message lists the formats that can.
+    """
+    if rigged and not form.rigged:
+        known = " or ".join(f".{key}" for key, other in FORMATS.items() if other.rigged)
+        raise InputError(f"{path}: expected {known} for a rig, got a format without bones; leave --bones out")
+    if not rigged and not form.writer:
+        raise InputError(f"{path}: expected a rig for a format of bones alone, got none; give --bones auto")
 
 
 def _is_ours(base: Path) -> bool:

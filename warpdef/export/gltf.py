@@ -1,173 +1,146 @@
 """A moving mesh as binary glTF 2.0 (.glb): one morph target a frame, played by an animation of their weights.
 
-The first frame is the base mesh; frame t is the base plus target t - 1 at weight 1. Positions are the data's own; the
-node carries the turn from z up to glTF's y up, the scale to glTF's metres and, for data far from its origin, the way
-there.
+The first frame is the base mesh; frame t is the base plus target t - 1 at weight 1. By default numbers are quantised
+(KHR_mesh_quantization): positions as 16-bit multiples of one step, of which every frame is the nearest, so that no
+error adds up; normals as bytes, or as 16 bits in frames that turn some of them nearly about. The node carries the way
+back to the data's own numbers.
 """
 
 from __future__ import annotations
 
-import json
-import math
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from warpdef import __version__
-from warpdef.errors import InputError
-from warpdef.export.animation import ROUGHNESS, Animation, linear_colors
-from warpdef.texture import Texture
+from warpdef.export.animation import Animation
+from warpdef.export.gltf_buffer import VERTICES, Buffer
+from warpdef.export.gltf_parts import add_look, add_material, place_node, start_document
 
-_FLOAT, _UINT, _USHORT = 5126, 5125, 5123
-_VERTICES, _INDICES = 34962, 34963
-_LINEAR, _MIPMAPPED, _REPEAT = 9729, 9987, 10497
-_KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+TARGETS_MANY = 100
+"""Frames beyond which a rig serves better: programs hold every target at once, and some stop at 256."""
+
+_STEPS = 32767
+_ANGLE = np.radians(2.0)  # of a normal, at most, between what is meant and what the bytes say
+_LENGTH = 0.995  # of base normals; see normal_offsets. Within what the Khronos validator calls unit
 
 
-def write_glb(animation: Animation, path: Path) -> None:
+def write_glb(animation: Animation, path: Path, precise: bool = False) -> None:
     """Write the animation to ``path``.
+
+    Args:
+        precise: float32 throughout, in place of quantised numbers.
 
     Raises:
         InputError: more than the 4 GiB that the format can hold.
     """
-    buffer = _Buffer()
-    vertices, faces = animation.vertices, animation.faces
-    first_normals = animation.normals_of(0)
+    buffer, document = Buffer(), start_document()
+    center, step = (None, 1.0) if precise else quantisation(animation.vertices)
+    scale = 1.0 if precise else step * _STEPS
+    positions = _float_positions(animation) if precise else _short_positions(animation, center, step)
+    count = animation.vertices.shape[1]
+    base, base_normals = next(positions), _base_normals(animation, precise)
     attributes = {
-        "POSITION": buffer.add(vertices[0], bounds=True, target=_VERTICES),
-        "NORMAL": buffer.add(first_normals, target=_VERTICES),
+        "POSITION": buffer.add(base, bounds=True, target=VERTICES, normalized=not precise),
+        "NORMAL": buffer.add(base_normals, target=VERTICES, normalized=not precise),
+        **add_look(animation, buffer),
     }
-    if animation.uv is not None:
-        # glTF counts v downwards from the image's top.
-        upper_left = (animation.uv * [1.0, -1.0] + [0.0, 1.0]).astype(np.float32)
-        attributes["TEXCOORD_0"] = buffer.add(upper_left, target=_VERTICES)
-    if animation.colors is not None:
-        light = np.ones((vertices.shape[1], 4))
-        light[:, : animation.colors.shape[1]] = linear_colors(animation.colors)
-        # 16 bits hold every 8-bit sRGB value apart, and four components keep rows aligned.
-        # Shown, they would darken the image: where there is one they are kept under a name of their own.
-        name = "COLOR_0" if animation.texture is None else "_COLOR_0"
-        attributes[name] = buffer.add(np.rint(light * 65535).astype(np.uint16), target=_VERTICES, normalized=True)
     primitive: dict[str, Any] = {
         "attributes": attributes,
-        "indices": buffer.add(faces.reshape(-1).astype(np.uint32), target=_INDICES),
+        "indices": buffer.add_triangles(animation.faces, count),
         "material": 0,
     }
     mesh: dict[str, Any] = {"primitives": [primitive]}
-    document: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": f"warpdef {__version__}"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [_node(animation)],
-        "meshes": [mesh],
-        "materials": [_material(animation)],
-    }
+    document["scenes"] = [{"nodes": [0]}]
+    document["nodes"] = [{"mesh": 0, "name": "warpdef"} | place_node(animation, center, scale)]
+    document["meshes"] = [mesh]
     if len(animation) > 1:
-        targets = [
-            (vertices[t] - vertices[0], animation.normals_of(t) - first_normals) for t in range(1, len(vertices))
-        ]
-        primitive["targets"] = [
-            {
-                "POSITION": buffer.add(offset, bounds=True, target=_VERTICES),
-                "NORMAL": buffer.add(turn, target=_VERTICES),
-            }
-            for offset, turn in targets
-        ]
-        mesh["weights"] = [0.0] * len(targets)
+        primitive["targets"] = []
+        for frame, offset in enumerate(positions, 1):
+            turn = animation.normals_of(frame)
+            turn = turn - base_normals if precise else normal_offsets(base_normals, turn)
+            primitive["targets"].append(
+                {
+                    "POSITION": buffer.add(offset, bounds=True, target=VERTICES, normalized=not precise),
+                    "NORMAL": buffer.add(turn, target=VERTICES, normalized=not precise),
+                }
+            )
+        mesh["weights"] = [0.0] * len(primitive["targets"])
         mesh["extras"] = {"targetNames": list(animation.names[1:])}
-        weights = np.eye(len(animation), dtype=np.float32)[:, 1:]
-        sampler = {
-            "input": buffer.add(animation.times, bounds=True),
-            "output": buffer.add(np.ascontiguousarray(weights).reshape(-1)),
-            "interpolation": "LINEAR",
-        }
-        channel = {"sampler": 0, "target": {"node": 0, "path": "weights"}}
-        document["animations"] = [{"name": "motion", "samplers": [sampler], "channels": [channel]}]
-    if animation.texture is not None:
-        media = Texture.KINDS[animation.texture.kind]
-        document["images"] = [{"bufferView": buffer.add_bytes(animation.texture.data), "mimeType": media}]
-        document["samplers"] = [{"magFilter": _LINEAR, "minFilter": _MIPMAPPED, "wrapS": _REPEAT, "wrapT": _REPEAT}]
-        document["textures"] = [{"source": 0, "sampler": 0}]
-    document["accessors"], document["bufferViews"] = buffer.accessors, buffer.views
-    document["buffers"] = [{"byteLength": buffer.size}]
-    _write(path, document, buffer)
+        document["animations"] = [_play(animation, buffer)]
+    if not precise:
+        document["extensionsUsed"] = document["extensionsRequired"] = ["KHR_mesh_quantization"]
+    add_material(animation, buffer, document)
+    buffer.write(path, document)
 
 
-def _node(animation: Animation) -> dict[str, Any]:
-    node: dict[str, Any] = {"mesh": 0, "name": "warpdef"}
-    if animation.up == "z":
-        node["rotation"] = [-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
-    if animation.metres_per_unit != 1.0:
-        node["scale"] = [animation.metres_per_unit] * 3
-    if animation.is_far:
-        # glTF scales and turns first.
-        x, y, z = (animation.metres_per_unit * animation.origin).tolist()
-        node["translation"] = [x, z, -y] if animation.up == "z" else [x, y, z]
-    return node
+def quantisation(vertices: np.ndarray) -> tuple[np.ndarray, float]:
+    """The point that quantised positions count from, (3,) float64, and their step, both in the mesh's units.
+
+    The step is the smallest that both the first frame and the offsets from it hold in 16 bits; vertices are within half
+    of it, along each axis.
+
+    Args:
+        vertices: shape (T, V, 3).
+    """
+    low, high = vertices[0].min(axis=0).astype(np.float64), vertices[0].max(axis=0).astype(np.float64)
+    center = (low + high) / 2.0
+    reach = float((high - low).max()) / 2.0
+    reach = max([reach, *(float(np.abs(frame - vertices[0]).max()) for frame in vertices[1:])])
+    # One step is kept free: base and offset are whole numbers, so that an offset may be rounded up by one.
+    return center, (reach or 1.0) / (_STEPS - 1)
 
 
-def _material(animation: Animation) -> dict[str, Any]:
-    color = [*animation.base_color, 1.0]
-    surface: dict[str, Any] = {"baseColorFactor": color, "metallicFactor": 0.0, "roughnessFactor": ROUGHNESS}
-    if animation.texture is not None:
-        surface["baseColorTexture"] = {"index": 0}
-    return {"name": "surface", "pbrMetallicRoughness": surface, "doubleSided": True}
+def normal_offsets(base: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """What to add to quantised normals to point along others, as bytes where those do so within two degrees.
+
+    An offset's parts must lie in -1 .. 1. Where that is too short, the sum points the right way but is shorter than 1:
+    programs normalise it. Base normals are a hair shorter than 1, so that something is left even of one that turns
+    about along an axis.
+
+    Args:
+        base: shape (V, 3) int16, in 32767ths. normals: unit, shape (V, 3).
+
+    Returns:
+        Shape (V, 3), int8 in 127ths or int16 in 32767ths.
+    """
+    start, goal = base / float(_STEPS), np.asarray(normals, dtype=np.float64)
+    # The largest s <= 1 with |s n - b| <= 1 in every part.
+    room = np.where(goal > 0.0, 1.0 + start, 1.0 - start) / np.maximum(np.abs(goal), 1e-9)
+    offset = np.minimum(room.min(axis=1, keepdims=True), 1.0) * goal - start
+    small = np.rint(offset * 127.0)
+    said = start + small / 127.0
+    cosine = np.einsum("vi,vi->v", said, goal) / np.maximum(np.linalg.norm(said, axis=1), 1e-12)
+    if (cosine >= np.cos(_ANGLE)).all():
+        return small.astype(np.int8)
+    return np.rint(offset * _STEPS).astype(np.int16)
 
 
-class _Buffer:
-    """Arrays one after the other, each aligned to 4 bytes, with the accessors that describe them."""
-
-    def __init__(self) -> None:
-        self.accessors: list[dict[str, Any]] = []
-        self.views: list[dict[str, Any]] = []
-        self.chunks: list[bytes] = []
-        self.size = 0
-
-    def add(
-        self, array: np.ndarray, *, bounds: bool = False, target: int | None = None, normalized: bool = False
-    ) -> int:
-        """Append an array (N,) or (N, 2..4) and return the index of its accessor."""
-        component = {"f": _FLOAT, "I": _UINT, "H": _USHORT}[array.dtype.char]
-        view = self.add_bytes(np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes())
-        if target is not None:
-            self.views[view]["target"] = target
-        columns = array.shape[1] if array.ndim == 2 else 1
-        accessor = {
-            "bufferView": view,
-            "componentType": component,
-            "count": len(array),
-            "type": _KINDS[columns],
-        }
-        if normalized:
-            accessor["normalized"] = True
-        if bounds:
-            table = array.reshape(len(array), columns)
-            accessor["min"], accessor["max"] = table.min(axis=0).tolist(), table.max(axis=0).tolist()
-        self.accessors.append(accessor)
-        return len(self.accessors) - 1
-
-    def add_bytes(self, data: bytes) -> int:
-        """Append what is no array and return the index of its view."""
-        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(data)})
-        data += bytes(-len(data) % 4)
-        self.chunks.append(data)
-        self.size += len(data)
-        return len(self.views) - 1
+def _float_positions(animation: Animation) -> Any:
+    yield animation.vertices[0]
+    for frame in animation.vertices[1:]:
+        yield frame - animation.vertices[0]
 
 
-def _write(path: Path, document: dict[str, Any], buffer: _Buffer) -> None:
-    text = json.dumps(document, separators=(",", ":")).encode("utf-8")
-    text += b" " * (-len(text) % 4)
-    total = 12 + 8 + len(text) + 8 + buffer.size
-    if total >= 2**32:
-        raise InputError(
-            f"{path.name}: expected less than the 4 GiB that a .glb can hold, got {total / 2**30:.1f} GiB; "
-            "export fewer frames with --frames, or to .usdc"
-        )
-    with open(path, "wb") as stream:
-        stream.write(struct.pack("<4sII", b"glTF", 2, total))
-        stream.write(struct.pack("<I4s", len(text), b"JSON") + text)
-        stream.write(struct.pack("<I4s", buffer.size, b"BIN\0"))
-        stream.writelines(buffer.chunks)
+def _short_positions(animation: Animation, center: np.ndarray, step: float) -> Any:
+    base = np.rint((animation.vertices[0] - center) / step).astype(np.int32)
+    yield base.astype(np.int16)
+    for frame in animation.vertices[1:]:
+        yield (np.rint((frame - center) / step).astype(np.int32) - base).astype(np.int16)
+
+
+def _base_normals(animation: Animation, precise: bool) -> np.ndarray:
+    normals = animation.normals_of(0)
+    return normals if precise else np.rint(normals * (_LENGTH * _STEPS)).astype(np.int16)
+
+
+def _play(animation: Animation, buffer: Buffer) -> dict[str, Any]:
+    """An animation that shows one frame after the other, and blends two neighbours in between."""
+    weights = np.eye(len(animation), dtype=np.float32)[:, 1:]
+    sampler = {
+        "input": buffer.add(animation.times, bounds=True),
+        "output": buffer.add(np.ascontiguousarray(weights).reshape(-1)),
+        "interpolation": "LINEAR",
+    }
+    channel = {"sampler": 0, "target": {"node": 0, "path": "weights"}}
+    return {"name": "motion", "samplers": [sampler], "channels": [channel]}
