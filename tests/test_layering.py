@@ -28,7 +28,7 @@ FLOORS_INSIDE = (
     ("cloud", "config", "device", "geometry", "texture", "transitions"),
     ("appearance", "memory", "presets", "sequence"),
     ("cleaning", "mesh"),
-    ("motion", "progress", "quality", "template", "vertex_measures"),
+    ("motion", "progress", "quality", "rig", "template", "vertex_measures"),
     ("result",),
     ("files",),
     ("datasets", "export", "fit", "truth"),
