@@ -127,7 +127,7 @@ def test_one_worker_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
     import warp as wp
 
-    gpus = [SimpleNamespace(alias=f"cuda:{i}", is_cpu=False) for i in range(2)]
+    gpus = [SimpleNamespace(alias=f"cuda:{i}", is_cuda=True) for i in range(2)]
     monkeypatch.setattr("warpdef.device.find_device", lambda name: gpus[0])
     monkeypatch.setattr(wp, "get_cuda_devices", lambda: gpus)
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)

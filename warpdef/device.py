@@ -1,4 +1,4 @@
-"""Devices: which there are, and which way the method goes on one."""
+"""Devices: which there are, and which way the method goes on one (``kernels.ways``)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ import numpy as np
 import warp as wp
 
 from warpdef.errors import DeviceError
+from warpdef.kernels.ways import Way as Way
+from warpdef.kernels.ways import going as going
+from warpdef.kernels.ways import way_of as way_of
 
 
 def start_warp() -> None:
@@ -53,3 +56,13 @@ def on_host(array: wp.array) -> np.ndarray:
 def usable_cores() -> int:
     """Cores this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def is_cuda(device: wp.Device) -> bool:
+    """Whether it has memory, a clock and graphs of its own. Which way to go on it says ``way_of``, not this."""
+    return device.is_cuda
+
+
+def team_size(device: wp.Device, threads: int | None = None) -> int:
+    """CPU threads that a run has a use for: as many as asked for, or all cores; one where launches go whole."""
+    return threads or usable_cores() if way_of(device) is Way.SPANS else 1

@@ -17,6 +17,7 @@ from pathlib import Path
 import warp as wp
 
 from warpdef.config import Config
+from warpdef.device import is_cuda
 from warpdef.errors import DeviceError, InputError
 
 GIB = 2**30
@@ -158,13 +159,13 @@ def require_memory(
         InputError: the estimate is above that; it says by how much, and what would fit.
     """
     vertices = vertices or vertices_most(points, config)
-    estimate = estimate_memory(points, vertices, config, device.is_cuda)
+    estimate = estimate_memory(points, vertices, config, is_cuda(device))
     if limit == 0:
         return estimate
 
     def needed(points: Sequence[int], config: Config) -> MemoryEstimate:
         most = min(vertices, vertices_most(points, config))
-        return estimate_memory(points, most, config, device.is_cuda)
+        return estimate_memory(points, most, config, is_cuda(device))
 
     def check(what: str, there: float | None, size: Callable[[MemoryEstimate], int]) -> None:
         if there is None or size(estimate) <= there:
@@ -176,7 +177,7 @@ def require_memory(
         )
 
     check("memory", available_memory() if limit is None else limit * GIB, lambda e: e.total)
-    if device.is_cuda:
+    if is_cuda(device):
         check(f"memory of {device.name}", device.free_memory, lambda e: e.device)
     return estimate
 
@@ -216,9 +217,9 @@ def explained_shortage(estimate: MemoryEstimate, device: wp.Device) -> Iterator[
     except (MemoryError, RuntimeError) as error:
         if not isinstance(error, MemoryError) and not _is_shortage(error):
             raise
-        place = f"{device.name} ({device.alias})" if device.is_cuda else "this machine"
-        size = estimate.device if device.is_cuda else estimate.total
-        other = ", or --device cpu" if device.is_cuda else ""
+        place = f"{device.name} ({device.alias})" if is_cuda(device) else "this machine"
+        size = estimate.device if is_cuda(device) else estimate.total
+        other = ", or --device cpu" if is_cuda(device) else ""
         raise DeviceError(
             f"out of memory on {place}: the run needs about {size / GIB:.1f} GiB. Lower --points, "
             f"--template.faces-max or --grid.levels, or take fewer --frames{other}"

@@ -17,7 +17,7 @@ import warp as wp
 
 import warpdef
 from warpdef.config import Config
-from warpdef.device import usable_cores
+from warpdef.device import team_size
 from warpdef.errors import MissingPackageError
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
@@ -88,7 +88,7 @@ def reconstruct(
 
     # Optimization: one descent for all steps, both directions, and the template.
     tell(Progress("compile"))
-    with closing(Team(threads or usable_cores() if target.is_cpu else 1)) as team, explained_shortage(estimate, target):
+    with closing(Team(team_size(target, threads))) as team, explained_shortage(estimate, target):
         with clock.phase("compile"):
             normals = _surface_normals(clouds, sequence.normals, config)
             mesh = chosen.mesh

@@ -20,7 +20,6 @@ from warpdef.kernels.motion import adj_move_points, scatter_vertices
 
 Answer = np.ndarray | tuple[np.ndarray, ...]
 _SNAPSHOTS = 12
-VERTICES_PER_TASK = 1024
 
 
 @dataclass(frozen=True)
@@ -149,12 +148,10 @@ class Bed:
 
     def vertex_tasks(self, call: Callable[[int, int], None]) -> list[Task]:
         """``call(begin, count)`` a range of template vertices."""
-        count = self.problem.vertex_count
-        step = VERTICES_PER_TASK if self.device.is_cpu else count
-        return [_later(call, a, min(step, count - a)) for a in range(0, count, step)]
+        return [_later(call, a, b - a) for a, b in self.problem.vertex_spans()]
 
     def _singles(self, count: int) -> list[tuple[int, int]]:
-        return [(k, k + 1) for k in range(count)] if self.device.is_cpu else [(0, count)]
+        return self.problem.way.cut(count)
 
 
 def _later(call: Callable[[int, int], None], a: int, b: int) -> Task:

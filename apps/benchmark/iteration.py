@@ -21,6 +21,7 @@ from warpdef.apps.benchmark.bed import bench_config, bench_problem
 from warpdef.apps.benchmark.data import Work
 from warpdef.apps.benchmark.sizes import Size
 from warpdef.apps.benchmark.timing import Clock, Timing
+from warpdef.device import Way, is_cuda, way_of
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.workers import Team
@@ -172,7 +173,7 @@ def descend(work: Work, size: Size, device: wp.Device, threads: int, tree_worker
         trees = TreeWork(optimiser.objective, tuple(sorted({1, tree_workers})))
         names = ["advance", *(phase.name for phase in optimiser.objective.phases(False)), "descend"]
         for count, stop in _runs(size):
-            watched = device.is_cpu and stop == "profile"
+            watched = way_of(device) is Way.SPANS and stop == "profile"
             if watched:
                 team.begin(kernels=threads == 1)
             times = []
@@ -232,7 +233,7 @@ def _by_phase(names: list[str], phases: list[list[float]]) -> dict[str, float]:
 
 def kernel_milliseconds_cuda(work: Work, size: Size, device: wp.Device) -> dict[str, float]:
     """Milliseconds of an iteration by kernel on CUDA, from its own timers, without a graph; empty on the CPU."""
-    if not device.is_cuda:
+    if not is_cuda(device):
         return {}
     problem = bench_problem(work, bench_config(size), device)
     seconds: dict[str, float] = defaultdict(float)

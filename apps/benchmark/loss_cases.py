@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpdef.apps.benchmark.bed import VERTICES_PER_TASK, Bed, Case, Peer, run_tasks
+from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.apps.benchmark.peers import add_rows, chamfer_numpy, isometry_numpy
-from warpdef.device import on_host
+from warpdef.device import Way, on_host
 from warpdef.kernels.chamfer import fixed_to_moving, moving_to_fixed
 from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
 
@@ -79,15 +79,15 @@ def _isometry(bed: Bed) -> Case:
     frames, edges = p.frame_count, len(p.edges)
     share, weight = 1.0 / ((frames - 1) * edges), p.config.loss.isometry_weight
     vertices, adj = wp.clone(o.vertices), wp.zeros_like(o.vertices)
-    if bed.device.is_cpu:
+    if bed.problem.way is Way.SPANS:
         paths = wp.zeros((p.vertex_count, 3, path_width(frames)), dtype=wp.float32, device=bed.device)
         lay_paths(0, p.vertex_count, vertices, paths)
         mesh = (p.integers(p.mesh.row), p.integers(p.mesh.column))
-        losses = wp.zeros((-(-p.vertex_count // VERTICES_PER_TASK), frames), dtype=wp.float64, device=bed.device)
+        part = {first: k for k, (first, _) in enumerate(p.vertex_spans())}
+        losses = wp.zeros((len(part), frames), dtype=wp.float64, device=bed.device)
 
         def around(begin: int, n: int) -> None:
-            part = begin // VERTICES_PER_TASK
-            isometry_of_vertices(begin, n, paths, *mesh, share, weight, part, losses, adj)
+            isometry_of_vertices(begin, n, paths, *mesh, share, weight, part[begin], losses, adj)
 
         tasks = bed.vertex_tasks(around)
     else:

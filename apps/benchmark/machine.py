@@ -16,7 +16,7 @@ import warpdef
 from warpdef.apps.benchmark.bed import Case, runner
 from warpdef.apps.benchmark.kernels import FLOPS_PER_ROUND, multiply_add_rounds, sample_only
 from warpdef.apps.benchmark.timing import Clock, Effort, measure, null_test
-from warpdef.device import usable_cores
+from warpdef.device import is_cuda, usable_cores
 from warpdef.fit.workers import Team
 from warpdef.kernels.adam import adam
 from warpdef.kernels.levels import LevelTable, node8
@@ -30,7 +30,7 @@ def environment(device: wp.Device, threads: int) -> dict:
 
     return {
         "device": device.alias,
-        "device_name": device.name if device.is_cuda else _processor(),
+        "device_name": device.name if is_cuda(device) else _processor(),
         "cores": usable_cores(),
         "threads": threads,
         "load_at_start": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
@@ -55,7 +55,7 @@ def _processor() -> str:
 def copy_bandwidth(device: wp.Device, threads: int, megabytes: int) -> float:
     """Bytes read and written a second by a plain copy between two arrays of this size."""
     count = megabytes * 2**18
-    if device.is_cuda:
+    if is_cuda(device):
         a, b = (wp.zeros(count, dtype=wp.float32, device=device) for _ in range(2))
         timing = measure(lambda: wp.copy(b, a), Clock(device).seconds, _COPY_EFFORT)
         return 8.0 * count / timing.median
@@ -71,7 +71,7 @@ def copy_bandwidth(device: wp.Device, threads: int, megabytes: int) -> float:
 
 def arithmetic_peak(device: wp.Device, team: Team, effort: Effort) -> float:
     """Floating-point operations a second of multiply-adds that touch no memory."""
-    entries, rounds, parts = (64, 20_000, 4 * team.size) if device.is_cpu else (2**20, 400, 1)
+    entries, rounds, parts = (64, 20_000, 4 * team.size) if not is_cuda(device) else (2**20, 400, 1)
     outs = [wp.zeros(entries, dtype=wp.float32, device=device) for _ in range(parts)]
     case = Case("peak", "", 0, 0, [lambda out=out: multiply_add_rounds(rounds, out) for out in outs])
     timing = measure(runner(case, device, team), Clock(device).seconds, effort)
@@ -82,8 +82,8 @@ def null_tests(device: wp.Device, quick: bool) -> list[dict]:
     """Four times the work against once, on one thread: a kernel bound by memory, its arrays well beyond any cache, and
     one bound by arithmetic.
     """
-    nodes = 2**20 if device.is_cpu else 2**22
-    points = (1 if quick else 4) * (20_000 if device.is_cpu else 1_000_000)
+    nodes = 2**20 if not is_cuda(device) else 2**22
+    points = (1 if quick else 4) * (20_000 if not is_cuda(device) else 1_000_000)
     tests = []
     for name, cost, least in (
         ("Adam, memory", adam_cost(device, 4 * nodes), nodes),

@@ -133,7 +133,7 @@ def _measure(request: dict[str, Any]) -> dict[str, Any]:
     from warpdef.apps.benchmark.bed import bench_config, bench_problem
     from warpdef.apps.benchmark.data import Work
     from warpdef.apps.benchmark.timing import Clock
-    from warpdef.device import find_device
+    from warpdef.device import find_device, is_cuda
     from warpdef.fit.optimise import Optimiser
     from warpdef.fit.workers import Team
 
@@ -174,10 +174,10 @@ def _measure(request: dict[str, Any]) -> dict[str, Any]:
             "compile_s": compiled,
             "step_s": step,
             "ms": 1e3 * float(np.median(times[first:])) if times else None,
-            "cpu_ms": 1e3 * float(np.min(work_times[first:])) if times and device.is_cpu else None,
+            "cpu_ms": 1e3 * float(np.min(work_times[first:])) if times and not is_cuda(device) else None,
             "arrays_mb": array_bytes(optimiser) / 1e6,
             "peak_mb": peak_resident_mb(),
-            "device_mb": wp.get_mempool_used_mem_high(device) / 1e6 if device.is_cuda else None,
+            "device_mb": wp.get_mempool_used_mem_high(device) / 1e6 if is_cuda(device) else None,
             "vertices": len(work.vertices),
             "loss": losses["total"],
         }

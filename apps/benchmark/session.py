@@ -45,7 +45,7 @@ from warpdef.apps.benchmark.sizes import (
     selection,
 )
 from warpdef.apps.benchmark.timing import QUICK, Effort
-from warpdef.device import find_device, usable_cores
+from warpdef.device import find_device, is_cuda, team_size, usable_cores
 from warpdef.errors import InputError
 
 
@@ -73,7 +73,7 @@ def run_bench(options: Options, tell: Callable[[str], None] = lambda text: None)
     wanted = selection(options.only)
     sizes = chosen_sizes(options)
     device = find_device(options.device)
-    most = (options.threads or usable_cores()) if device.is_cpu else 1
+    most = team_size(device, options.threads)
     counts = tuple(sorted({1, most}))
     sweeps, largest = (SWEEPS_QUICK, None) if options.quick else (SWEEPS, LARGEST)
     base = SIZES_QUICK[0] if options.quick else WORK
@@ -118,7 +118,7 @@ def run_bench(options: Options, tell: Callable[[str], None] = lambda text: None)
                 for threads in counts:
                     tell(f"iteration, size {size.name}, {threads} threads")
                     # On CUDA one host thread leads; cKDTree then has all cores.
-                    workers = threads if device.is_cpu else usable_cores()
+                    workers = usable_cores() if is_cuda(device) else threads
                     results = descend(work, size, device, threads, workers)
                     report["rows"].extend(iteration_rows(results, size, threads))
                     report["ratios"].append(ratio_entry(results, size, threads, workers))
@@ -135,7 +135,7 @@ def run_bench(options: Options, tell: Callable[[str], None] = lambda text: None)
             )
     measured = (*report["rows"], *report["ratios"], *report["scaling"])
     report["errors"] += [entry["error"] for entry in measured if entry.get("error")]
-    report["targets"] = targets(report, main_size(sizes).name, "cpu" if device.is_cpu else "cuda")
+    report["targets"] = targets(report, main_size(sizes).name, "cuda" if is_cuda(device) else "cpu")
     return report
 
 

@@ -12,6 +12,7 @@ import warp as wp
 from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.apps.benchmark.peers import Factored, cosine_numpy
 from warpdef.config import Config
+from warpdef.device import Way
 from warpdef.fit.sobolev import factorise, level_lambdas
 from warpdef.kernels.adam import adam
 from warpdef.kernels.cg import ConjugateGradients
@@ -27,7 +28,7 @@ _WARM_SHARE = 0.01
 
 def solve_cases(bed: Bed) -> list[Case]:
     """Cosine transforms, the template factorised, conjugate gradients on pruned grids and template, and Adam."""
-    exact = [_factored(bed)] if bed.device.is_cpu else []
+    exact = [_factored(bed)] if bed.problem.way is Way.SPANS else []
     return [_cosine(bed), *_pruned(bed), *exact, *_template(bed), _adam(bed)]
 
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpdef.device import is_cuda
+
 NULL_RATIO = (2.5, 6.0)
 """Four times the work must cost between these many times as much, or no figure of the run is to be believed."""
 
@@ -52,12 +54,12 @@ class Clock:
 
     def __init__(self, device: wp.Device) -> None:
         self.device = device
-        if device.is_cuda:
+        if is_cuda(device):
             self._start, self._end = (wp.Event(device=device, enable_timing=True) for _ in range(2))
 
     def seconds(self, run: Callable[[], object], count: int = 1) -> float:
         """Seconds of ``count`` calls together."""
-        if self.device.is_cuda:
+        if is_cuda(self.device):
             wp.record_event(self._start)
             for _ in range(count):
                 run()

@@ -41,11 +41,11 @@ def local_slots(device: str, threads: int | None, workers: int | None) -> list[S
     Raises:
         DeviceError: no such device. InputError: more slices than cores.
     """
-    from warpdef.device import find_device, usable_cores
+    from warpdef.device import find_device, is_cuda, usable_cores
 
     target = find_device(device)
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(usable_cores()))
-    if target.is_cpu:
+    if not is_cuda(target):
         size = min(threads or CORES_A_WORKER, len(cores))
         count = workers or max(1, len(cores) // size)
         if count * size > len(cores):

@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 import warp as wp
 
+from warpdef.device import Way
 from warpdef.fit.objective import Objective
 from warpdef.fit.parameters import Parameters
 from warpdef.fit.problem import Problem
@@ -63,7 +64,7 @@ class Optimiser:
     def prepare(self) -> None:
         """Compile every kernel, so that the first iteration costs what the others do."""
         self.finite()
-        if self.problem.device.is_cpu:
+        if self.problem.way is Way.SPANS:
             self._warmup.prepare()
             self._full.prepare()
         else:

@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from warpdef.device import Way
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import Problem
 from warpdef.fit.recover import Cloud, Matches, Surface, lost_above
@@ -67,7 +68,7 @@ def follow_outwards(
         return fitted
 
     refinement.take_shape()
-    with ThreadPoolExecutor(2 if threads > 1 and p.device.is_cpu else 1) as pool:
+    with ThreadPoolExecutor(2 if threads > 1 and p.way is Way.SPANS else 1) as pool:
         sides = list(pool.map(follow, (ends.forward, ends.backward)))
     p.normals.assign(given)
     return sorted(t for side in sides for t in side)

@@ -14,13 +14,13 @@ import numpy as np
 import warp as wp
 
 from warpdef.config import Config
+from warpdef.device import way_of
 from warpdef.fit.measures import CloudMeasures, border_of, mean_edge_length
 from warpdef.fit.morton import morton_order
 from warpdef.fit.pool import Pool
 from warpdef.geometry.triangles import face_areas, unique_edges
 from warpdef.kernels.graphs import Graph, kept_nodes, mesh_graph
 from warpdef.kernels.levels import LevelTable
-from warpdef.kernels.ways import way_of
 from warpdef.transitions import Transitions
 
 VERTICES_PER_TASK = 1024

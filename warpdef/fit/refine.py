@@ -27,6 +27,7 @@ import numpy as np
 import warp as wp
 
 from warpdef.config import RefineConfig
+from warpdef.device import Way
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import span
 from warpdef.fit.recover import Cloud, recover
@@ -142,7 +143,7 @@ class Refinement:
 
     def prepare(self) -> None:
         """CPU: record all commands, which compiles what they need."""
-        if self.problem.device.is_cpu:
+        if self.problem.way is Way.SPANS:
             self._round.prepare()
 
     def start(self) -> None:

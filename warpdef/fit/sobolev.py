@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from warpdef.config import Config
+from warpdef.device import Way, way_of
 from warpdef.kernels.cg import ConjugateGradients
 from warpdef.kernels.cholesky import CholeskySolver, Factor
 from warpdef.kernels.cosine import CosineSolver
@@ -206,7 +207,7 @@ def template_solvers(config: Config, graph: Graph, device: wp.Device) -> tuple[S
     Conjugate gradients start from their own last solution and so are two; a factorisation remembers nothing.
     """
     name = config.sobolev.solver
-    if name in ("auto", "cosine") and device.is_cpu:
+    if name in ("auto", "cosine") and way_of(device) is Way.SPANS:
         exact = _Cholesky(graph, device)
         return exact, exact
     if name == "warp":

@@ -14,6 +14,7 @@ from typing import Literal, Protocol
 import numpy as np
 import warp as wp
 
+from warpdef.device import Way
 from warpdef.fit.chain import Chain
 from warpdef.fit.correspondences import Correspondences
 from warpdef.fit.problem import Problem
@@ -22,7 +23,6 @@ from warpdef.kernels.chamfer import BOTH_SIDES, fixed_to_moving, moving_to_fixed
 from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
 from warpdef.kernels.motion import adj_move_points, move_points
 from warpdef.kernels.vectors import clear_losses
-from warpdef.kernels.ways import Way
 
 # How far apart a point and its partner's partner may be where a cloud shows part of the surface (``chamfer``): about as
 # far as on a surface that both sets cover. Twice that, and the rim of what is seen draws the unseen over, bit by bit.

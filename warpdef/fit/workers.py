@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import warp as wp
 
+from warpdef.device import Way, is_cuda, way_of
 from warpdef.kernels.launching import recording
 
 Task = Callable[[], None]
@@ -101,20 +102,21 @@ class Iteration:
         self._device = device
         self._team = team
         self._recorded: list[list[list[wp.Launch]] | None] | None = None
-        self._graph = None
-        self._capture = capture and device.is_cuda and not any(p.direct for p in phases)
+        self._graph: wp.Graph | None = None
+        self._whole = way_of(device) is Way.WHOLE
+        self._capture = capture and is_cuda(device) and not any(p.direct for p in phases)
         self._warm = False
 
     def prepare(self) -> list[list[list[wp.Launch]] | None]:
-        """CPU: record all commands, which compiles what they need."""
+        """Where work goes in spans: record all commands, which compiles what they need."""
         if self._recorded is None:
             self._recorded = [None if phase.direct else _record(phase) for phase in self._phases]
         return self._recorded
 
     def run(self) -> None:
         """Run all phases once; returns before CUDA is done."""
-        if self._device.is_cuda:
-            self._run_cuda()
+        if self._whole:
+            self._run_whole()
             return
         for phase, work in zip(self._phases, self.prepare(), strict=True):
             if work is None:
@@ -123,7 +125,7 @@ class Iteration:
             else:
                 self._team.run(work)
 
-    def _run_cuda(self) -> None:
+    def _run_whole(self) -> None:
         # The first run is plain: modules load and scratch memory is allocated, neither of which can be captured.
         if not self._capture or not self._warm:
             for phase in self._phases:
@@ -131,13 +133,14 @@ class Iteration:
                     task()
             self._warm = True
             return
-        if self._graph is None:
+        graph = self._graph
+        if graph is None:
             with wp.ScopedCapture(device=self._device) as captured:
                 for phase in self._phases:
                     for task in phase.tasks:
                         task()
-            self._graph = captured.graph
-        wp.capture_launch(self._graph)
+            graph = self._graph = captured.graph
+        wp.capture_launch(graph)
 
 
 def _record(phase: Phase) -> list[list[wp.Launch]]:
