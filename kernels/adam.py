@@ -14,7 +14,8 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.levels import node8
-from warpdef.kernels.schedule import BIAS_1, BIAS_2, RATE_SCALE
+from warpdef.kernels.schedule import BIAS_1, BIAS_2, RATE_SCALE, SCHEDULE_SIZE
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -24,6 +25,7 @@ def adam_change(g: float, m: float, v: float, bias_1: float, bias_2: float, epsi
     return m * bias_1 / (wp.sqrt(v * bias_2) + epsilon)
 
 
+@sizes(f"threads gradient first second parameter: N; period rate: R; schedule: {SCHEDULE_SIZE}")
 @wp.kernel
 def _adam(
     # In:

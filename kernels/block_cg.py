@@ -14,6 +14,7 @@ import warp as wp
 from warpdef.kernels.cg_kernels import ratio
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -43,10 +44,11 @@ def apply_block_row(
     return total
 
 
+@sizes("threads iterations_out residual_out: T; row: V+1; column: E; matrix rhs inverse r p ap solution_out: T V")
 @wp.kernel
 def _solve_frames(
     # In:
-    first_frame: int,
+    begin: int,
     alpha: float,
     beta: float,
     row: wp.array[wp.int32],
@@ -66,7 +68,7 @@ def _solve_frames(
     residual_out: wp.array[wp.float32],
 ):
     """CPU: one thread a frame, from zero."""
-    t = first_frame + wp.tid()
+    t = begin + wp.tid()
     count = rhs.shape[1]
     b_sq = float(0.0)
     rz = float(0.0)
@@ -113,6 +115,7 @@ def running(step: int, t: int, tolerance: float, sums: wp.array2d[wp.vec3]) -> b
     return sums[step, t][2] > tolerance * tolerance * sums[0, t][2]
 
 
+@sizes("threads matrix rhs inverse_out r_out p_out solution_out: T V; row: V+1; sums_out: I T")
 @wp.kernel
 def _start(
     # In:
@@ -141,6 +144,7 @@ def _start(
     wp.atomic_add(sums_out, 0, t, wp.vec3(wp.dot(b, z), 0.0, wp.length_sq(b)))
 
 
+@sizes("threads matrix p ap_out: T V; step: <I; row: V+1; column: E; sums: I T")
 @wp.kernel
 def _multiply(
     # In:
@@ -165,6 +169,7 @@ def _multiply(
         wp.atomic_add(sums, step, t, wp.vec3(0.0, wp.dot(p[t, i], v), 0.0))
 
 
+@sizes("threads inverse p ap r solution: T V; step: <I; sums: I T")
 @wp.kernel
 def _update(
     # In:
@@ -191,6 +196,7 @@ def _update(
         sums[step + 1, t] = sums[step, t]
 
 
+@sizes("threads inverse r p: T V; step: <I; sums: I T")
 @wp.kernel
 def _turn(
     # In:
@@ -208,6 +214,7 @@ def _turn(
         p[t, i] = inverse[t, i] * r[t, i] + ratio(sums[step + 1, t][0], sums[step, t][0]) * p[t, i]
 
 
+@sizes("threads sums_out: N")
 @wp.kernel
 def _clear(
     # Out:
@@ -216,6 +223,7 @@ def _clear(
     sums_out[wp.tid()] = wp.vec3(0.0, 0.0, 0.0)
 
 
+@sizes("threads iterations_out residual_out: T; steps: <I; sums: I T")
 @wp.kernel
 def _report(
     # In:

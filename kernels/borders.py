@@ -17,6 +17,7 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.pairs import Pairs, own_weight, pair_plane, pair_weight
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -40,6 +41,7 @@ def outward_of(vertices: wp.array[wp.vec3], border: wp.array2d[wp.int32], first:
     return b
 
 
+@sizes("threads: K=P; border: V 3; gap: T; matrix_out: P=T*V; pull_out: P")
 @wp.kernel
 def _vertex_borders(
     # In:
@@ -65,6 +67,7 @@ def _vertex_borders(
             pull_out[i] = pull_out[i] + (w * (gap[t] - wp.dot(b, d))) * b
 
 
+@sizes("threads: K=N; border: V 3; matrix_out: P=T*V; pull_out: P")
 @wp.kernel
 def _cloud_borders(
     # In:

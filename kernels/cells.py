@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from warpdef.kernels.launching import MODULE_OPTIONS, launch, require
+from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.sizes import require, sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -23,6 +24,7 @@ _CELLS_PER_POINT = {"cpu": 3.0, "cuda": 8.0}
 _CELLS_MAX = 2**18
 
 
+@sizes("nx: X; ny: Y; nz: Z")
 @wp.struct
 class Cells:
     """The cells of a box.
@@ -131,10 +133,11 @@ def sort_group(
 ): ...
 
 
+@sizes("threads odometer: G; points cell last order_out sorted_out: N; offset: G+1; start_out: G X*Y*Z+1")
 @wp.kernel
 def _sort_groups(
     # In:
-    first_group: int,
+    begin: int,
     cells: Cells,
     points: wp.array[wp.vec3],
     offset: wp.array[wp.int32],
@@ -149,10 +152,11 @@ def _sort_groups(
     sorted_out: wp.array[wp.vec3],
 ):
     """CPU: one thread a group."""
-    g = first_group + wp.tid()
+    g = begin + wp.tid()
     sort_group(g, offset[g], offset[g + 1], cells, points, cell, last, odometer, start_out, order_out, sorted_out)
 
 
+@sizes("threads points group last: N; farthest: G")
 @wp.kernel
 def _measure_moves(
     # In:
@@ -171,6 +175,7 @@ def _measure_moves(
     last[i] = points[i]
 
 
+@sizes("threads farthest odometer: G")
 @wp.kernel
 def _turn_odometers(
     # In and out:
@@ -183,6 +188,7 @@ def _turn_odometers(
     farthest[g] = 0.0
 
 
+@sizes("threads start_out: N")
 @wp.kernel
 def _clear_cells(
     # Out:
@@ -191,6 +197,7 @@ def _clear_cells(
     start_out[wp.tid()] = 0
 
 
+@sizes("threads points group cell_out: N; start_out: G X*Y*Z+1")
 @wp.kernel
 def _count_points(
     # In:
@@ -209,6 +216,7 @@ def _count_points(
     wp.atomic_add(start_out, group[i], c, 1)
 
 
+@sizes("threads points group cell order_out sorted_out: N; start: G C")
 @wp.kernel
 def _place_points(
     # In:

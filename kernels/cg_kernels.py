@@ -8,6 +8,7 @@ from typing import Any
 import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -71,10 +72,14 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
                 one[c] = 1.0
         return one
 
+    @sizes(
+        "threads weight iterations_out residual_out: S; node x r p ap: N; first: S+1; row: N+1; column: E; rhs "
+        "solution_out: F"
+    )
     @wp.kernel(module="unique")
     def solve_systems(
         # In:
-        first_system: int,
+        begin: int,
         node: wp.array[wp.int32],
         first: wp.array[wp.int32],
         row: wp.array[wp.int32],
@@ -95,13 +100,13 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         residual_out: wp.array[wp.float32],
     ):
         """CPU: one thread a system."""
-        s = first_system + wp.tid()
-        begin = first[s]
+        s = begin + wp.tid()
+        lowest = first[s]
         end = first[s + 1]
         w = weight[s]
         r_sq = dtype()
         b_sq = dtype()
-        for i in range(begin, end):
+        for i in range(lowest, end):
             b = rhs[node[i]]
             residual = b - apply_row(i, w, row, column, x)
             r[i] = residual
@@ -111,34 +116,35 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         keep = asked(b_sq)
         if worst_residual_sq(r_sq - wp.cw_mul(keep, r_sq), b_sq) > 0.0:
             r_sq = wp.cw_mul(keep, r_sq)
-            for i in range(begin, end):
+            for i in range(lowest, end):
                 x[i] = wp.cw_mul(keep, x[i])
                 r[i] = wp.cw_mul(keep, r[i])
                 p[i] = r[i]
         done = int(0)
         while done < iterations_max and worst_residual_sq(r_sq, b_sq) > tolerance * tolerance:
             p_ap = dtype()
-            for i in range(begin, end):
+            for i in range(lowest, end):
                 v = apply_row(i, w, row, column, p)
                 ap[i] = v
                 p_ap += wp.cw_mul(p[i], v)
             alpha = ratios(r_sq, p_ap)
             next_sq = dtype()
-            for i in range(begin, end):
+            for i in range(lowest, end):
                 x[i] = x[i] + wp.cw_mul(alpha, p[i])
                 v = r[i] - wp.cw_mul(alpha, ap[i])
                 r[i] = v
                 next_sq += wp.cw_mul(v, v)
             beta = ratios(next_sq, r_sq)
-            for i in range(begin, end):
+            for i in range(lowest, end):
                 p[i] = r[i] + wp.cw_mul(beta, p[i])
             r_sq = next_sq
             done = done + 1
-        for i in range(begin, end):
+        for i in range(lowest, end):
             solution_out[node[i]] = x[i]
         iterations_out[s] = done
         residual_out[s] = wp.sqrt(worst_residual_sq(r_sq, b_sq))
 
+    @sizes("threads node system x r_out p_out: N; row: N+1; column: E; weight b_sq_out: S; rhs: F; r_sq_out: I S")
     @wp.kernel(module="unique")
     def start(
         # In:
@@ -166,6 +172,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         wp.atomic_add(b_sq_out, s, wp.cw_mul(b, b))
         wp.atomic_add(r_sq_out, 0, s, wp.cw_mul(residual, residual))
 
+    @sizes("threads system x r p: N; first: S+1; b_sq: S; r_sq: I S")
     @wp.kernel(module="unique")
     def settle(
         # In:
@@ -188,6 +195,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         if i == first[s]:
             r_sq[0, s] = wp.cw_mul(keep, r_sq[0, s])
 
+    @sizes("threads system p ap_out: N; step: <I; row: N+1; column: E; weight b_sq: S; r_sq p_ap_out: I S")
     @wp.kernel(module="unique")
     def multiply(
         # In:
@@ -213,6 +221,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
             ap_out[i] = v
             wp.atomic_add(p_ap_out, step, s, wp.cw_mul(p[i], v))
 
+    @sizes("threads system p ap x r: N; step: <I; first: S+1; b_sq: S; p_ap r_sq: I S")
     @wp.kernel(module="unique")
     def update(
         # In:
@@ -242,6 +251,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
             # Copied, not added up anew: another order of the sum must not wake a system that is done.
             r_sq[step + 1, s] = r_sq[step, s]
 
+    @sizes("threads system r p: N; step: <I; b_sq: S; r_sq: I S")
     @wp.kernel(module="unique")
     def turn(
         # In:
@@ -260,6 +270,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         if worst_residual_sq(r_sq[step, s], b_sq[s]) > tolerance * tolerance:
             p[i] = r[i] + wp.cw_mul(ratios(r_sq[step + 1, s], r_sq[step, s]), p[i])
 
+    @sizes("threads node x: N; solution_out: F")
     @wp.kernel(module="unique")
     def finish(
         # In:
@@ -272,6 +283,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         i = wp.tid()
         solution_out[node[i]] = x[i]
 
+    @sizes("threads b_sq iterations_out residual_out: S; steps: <I; r_sq: I S")
     @wp.kernel(module="unique")
     def report(
         # In:
@@ -291,6 +303,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         iterations_out[s] = done
         residual_out[s] = wp.sqrt(worst_residual_sq(r_sq[steps, s], b_sq[s]))
 
+    @sizes("threads array_out: N")
     @wp.kernel(module="unique")
     def clear(
         # Out:
@@ -298,6 +311,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
     ):
         array_out[wp.tid()] = dtype()
 
+    @sizes("threads node compact_out: N; full: F")
     @wp.kernel(module="unique")
     def gather(
         # In:
@@ -309,6 +323,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         i = wp.tid()
         compact_out[i] = full[node[i]]
 
+    @sizes("threads system x y z_out: N; row: N+1; column: E; weight: S")
     @wp.kernel(module="unique")
     def multiply_add(
         # In:

@@ -19,6 +19,7 @@ from __future__ import annotations
 import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -64,6 +65,10 @@ def adj_residual_energy(r: wp.vec3, n: wp.vec3, tangential: float, adj: float) -
     return (2.0 * adj) * ((1.0 - tangential) * wp.dot(n, r) * n + tangential * r)
 
 
+@sizes(
+    "threads moving slot nearest adj_moving_out: A; fixed normals: B; share weight loss_out: S; back: B?; "
+    "mutual_reach: S?"
+)
 @wp.kernel
 def _moving_to_fixed(
     # In:
@@ -99,6 +104,10 @@ def _moving_to_fixed(
     adj_moving_out[i] = adj
 
 
+@sizes(
+    "threads fixed normals slot nearest: B; moving adj_moving_out: A; share weight loss_out: S; back: A?; "
+    "mutual_reach: S?"
+)
 @wp.kernel
 def _fixed_to_moving(
     # In:

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warpdef.kernels.launching import MODULE_OPTIONS, launch, require
+from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.sizes import require, sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -77,6 +78,7 @@ def sweep(
 ): ...
 
 
+@sizes("threads: 1; order inverse_pivot rhs scratch solution_out: N; row: N+1; column value: E")
 @wp.kernel
 def _solve_factored(
     # In:

@@ -10,11 +10,13 @@ from __future__ import annotations
 import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
-from warpdef.kernels.schedule import DELTA
+from warpdef.kernels.schedule import DELTA, SCHEDULE_SIZE
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
 
+@sizes(f"threads: 2; keyframe: <T; schedule: {SCHEDULE_SIZE}; loss_input: S; loss_transform confidence_out: T")
 @wp.kernel
 def _confidence(
     # In:

@@ -15,6 +15,7 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.levels import LevelTable, node8
+from warpdef.kernels.sizes import require_span, sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -146,6 +147,10 @@ def solve_level(
 ): ...
 
 
+@sizes(
+    "threads: S*L; first_transition: <S; levels: 2*L; lambdas half_offset eigenvalue_offset: L; halves: H; "
+    "eigenvalues: E; rhs solution_out: S M"
+)
 @wp.kernel
 def _solve_levels(
     # In:
@@ -170,6 +175,10 @@ def _solve_levels(
     )  # fmt: skip
 
 
+@sizes(
+    "threads values values_out: S M; levels: 2*L; node_level: M; lambdas matrix_offset eigenvalue_offset: L; "
+    "matrices: H; eigenvalues: E"
+)
 @wp.kernel
 def _cosine_axis(
     # In:
@@ -269,6 +278,7 @@ class CosineSolver:
         Args:
             rhs, solution_out: shape (S, M) node8, not the same array.
         """
+        require_span("transitions", first, last - first, len(rhs))
         if self._device.is_cpu:
             inputs = [first, self._levels, self._lambdas, *self._halves, rhs, solution_out]
             launch(_solve_levels, (last - first) * len(self._lambdas), inputs, self._device)

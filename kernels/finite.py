@@ -8,10 +8,12 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.levels import node8
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
 
+@sizes("threads array: N; flag_out: 1")
 @wp.kernel
 def _flag_not_finite(
     # In:

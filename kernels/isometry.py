@@ -14,6 +14,7 @@ from __future__ import annotations
 import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -30,6 +31,7 @@ def sign_of_change(change: float) -> float:
     return s
 
 
+@sizes("threads: T*E; frame_count loss_out: T; vertices adj_vertices_out: T V; edges: E 2")
 @wp.kernel
 def _isometry(
     # In:
@@ -64,6 +66,7 @@ def _isometry(
         wp.atomic_add(adj_vertices_out, t, j, -g)
 
 
+@sizes("threads: V; vertices: T V; paths_out: V 3 W")
 @wp.kernel
 def _lay_paths(
     # In:
@@ -130,6 +133,7 @@ def keep_lengths(
 ): ...
 
 
+@sizes("threads: V; paths: V 3 W; row: V+1; column: E; part: <P; loss_out: P T; adj_vertices_out: T V")
 @wp.kernel
 def _isometry_of_vertices(
     # In:

@@ -13,6 +13,8 @@ from typing import Any
 
 import warp as wp
 
+from warpdef.kernels.sizes import check
+
 # max_unroll=0 keeps compile time low (a level loop unrolled ten times costs ten times); contraction makes FMAs.
 MODULE_OPTIONS = {
     "enable_backward": False,
@@ -35,7 +37,12 @@ def recording() -> Iterator[list[wp.Launch]]:
 
 
 def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any], device: wp.Device) -> None:
-    """Run ``kernel`` over ``dim`` threads, or record it inside ``recording()``. An empty span is no launch."""
+    """Run ``kernel`` over ``dim`` threads, or record it inside ``recording()``. An empty span is no launch.
+
+    Raises:
+        TypeError, ValueError: an argument that the kernel's signature or table refuses, see ``sizes``.
+    """
+    check(kernel, dim, inputs, device)
     if dim == 0:
         return
     commands = getattr(_state, "commands", None)
@@ -43,17 +50,3 @@ def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any],
         wp.launch(kernel, dim=dim, inputs=list(inputs), device=device)
     else:
         commands.append(wp.launch(kernel, dim=dim, inputs=list(inputs), device=device, record_cmd=True))
-
-
-def require(array: wp.array, name: str, dtype: Any, shape: tuple[int | None, ...]) -> None:
-    """Check an array before a launch; None in ``shape`` accepts any length.
-
-    Raises:
-        TypeError: another dtype.
-        ValueError: another rank or length.
-    """
-    if not wp.types.types_equal(array.dtype, dtype):
-        raise TypeError(f"{name}: expected dtype {dtype.__name__}, got {array.dtype.__name__}")
-    fits = array.ndim == len(shape) and all(w is None or w == g for w, g in zip(shape, array.shape, strict=True))
-    if not fits:
-        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")

@@ -15,6 +15,7 @@ import warp as wp
 from warpdef.kernels.cayley import adj_rotate, rotate, rotate_along
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.levels import node8
+from warpdef.kernels.sizes import sizes
 from warpdef.kernels.trilinear import adj_sample, sample, sample_with_derivative
 
 wp.set_module_options(MODULE_OPTIONS)
@@ -27,6 +28,7 @@ def motion_gradient(z: wp.vec3, x: wp.vec3, adj: wp.vec3) -> node8:
     return node8(r[0], r[1], r[2], adj[0], adj[1], adj[2], 0.0, 0.0)
 
 
+@sizes("threads points transition rotation_out moved_out: N; nodes: S M; levels: 2*L; level_count: L")
 @wp.kernel
 def _move_points(
     # In:
@@ -49,6 +51,7 @@ def _move_points(
     moved_out[i] = rotate(z, x) + wp.vec3(t[3], t[4], t[5])
 
 
+@sizes("threads points transition rotation adj_moved: N; levels: 2*L; level_count: L; adj_nodes_out: S M")
 @wp.kernel
 def _adj_move_points(
     # In:
@@ -69,6 +72,10 @@ def _adj_move_points(
     adj_sample(adj_nodes_out, transition[i], levels, level_count, x[0], x[1], x[2], g)
 
 
+@sizes(
+    "threads: V; transition: <S; source target: <T; nodes: S M; levels: 2*L; level_count: L; vertices: T V; "
+    "rotation_out jacobian_out: S V"
+)
 @wp.kernel
 def _move_vertices(
     # In:
@@ -102,6 +109,10 @@ def _move_vertices(
     jacobian_out[transition, i] = wp.matrix_from_rows(jx, jy, jz)
 
 
+@sizes(
+    "threads: V; transition: <S; source target: <T; carry_target carry_source: <T+1; vertices adj_chamfer "
+    "adj_isometry: T V; rotation jacobian adj_motion_out: S V; confidence: T; carry: T+1 V"
+)
 @wp.kernel
 def _adj_move_vertices(
     # In:
@@ -129,6 +140,10 @@ def _adj_move_vertices(
     carry[carry_source, i] = jacobian[transition, i] * a
 
 
+@sizes(
+    "threads: V; transition: <S; source: <T; levels: 2*L; level_count: L; vertices: T V; adj_motion: S V; "
+    "adj_nodes_out: S M"
+)
 @wp.kernel
 def _scatter_vertices(
     # In:
@@ -202,6 +217,7 @@ def scatter_vertices(begin, count, transition, source, levels, vertices, adj_mot
     launch(_scatter_vertices, count, inputs, adj_nodes_out.device)
 
 
+@sizes("threads adj_template_out: V; keyframe: <T; adj_chamfer adj_isometry: T V; carry: T+1 V")
 @wp.kernel
 def _template_gradient(
     # In:

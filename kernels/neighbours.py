@@ -14,8 +14,9 @@ from __future__ import annotations
 import warp as wp
 
 from warpdef.kernels.cells import Cells, PointGrid, first_candidate
-from warpdef.kernels.launching import MODULE_OPTIONS, launch, require
+from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.packets import QUERIES_PER_THREAD, nearest_in_packets
+from warpdef.kernels.sizes import require, require_span, sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -108,6 +109,10 @@ def search_ball(
 ): ...
 
 
+@sizes(
+    "threads queries query_group anchor reading bound index: Q; points order sorted_points: N; start: G X*Y*Z+1; "
+    "odometer: G"
+)
 @wp.kernel
 def _nearest(
     # In:
@@ -186,6 +191,7 @@ class NearestSearch:
         targets = [g.cells, g.points, g.start, g.order, g.sorted, g.odometer, self._margin]
         known = [self._anchor, self._reading, self._bound]
         count = len(self.index) - begin if count is None else count
+        require_span("queries", begin, count, len(self.index))
         asked = [self._queries, self._group, *targets, *known, self.index]
         device = self._queries.device
         if self._in_packets:

@@ -12,6 +12,7 @@ import warp as wp
 
 from warpdef.kernels.cells import Cells, first_candidate
 from warpdef.kernels.launching import MODULE_OPTIONS
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -158,6 +159,10 @@ def search_packets(
 ): ...
 
 
+@sizes(
+    "threads queries query_group anchor reading bound index: Q; count: <Q+1; points order sorted_points: N; start: G "
+    "X*Y*Z+1; odometer: G"
+)
 @wp.kernel
 def nearest_in_packets(
     # In:

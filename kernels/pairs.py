@@ -17,10 +17,12 @@ import warp as wp
 
 from warpdef.kernels.chamfer import BOTH_SIDES, mutual_weight
 from warpdef.kernels.launching import MODULE_OPTIONS
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
 
+@sizes("vertices normals: P; frame nearest: K; cloud cloud_normals: N; back: N?; reach: T; mutual_reach: T?")
 @wp.struct
 class Pairs:
     """What ``pairs_of`` puts together. Without a way back ``back`` is empty."""

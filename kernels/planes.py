@@ -11,10 +11,12 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.pairs import Pairs, own_weight, pair_plane, pair_weight
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
 
+@sizes("threads: T*V; faces: F 3; face_row: V+1; face_of: H; vertices normals_out: T V")
 @wp.kernel
 def _vertex_normals(
     # In:
@@ -38,6 +40,7 @@ def _vertex_normals(
     normals_out[t, i] = wp.normalize(total)
 
 
+@sizes("threads: K=P; matrix_out pull_out: P")
 @wp.kernel
 def _vertex_planes(
     # In:
@@ -61,6 +64,7 @@ def _vertex_planes(
     pull_out[i] = pull
 
 
+@sizes("threads: K=N; matrix_out pull_out: P")
 @wp.kernel
 def _cloud_planes(
     # In:

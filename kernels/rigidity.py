@@ -12,6 +12,7 @@ from __future__ import annotations
 import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -36,6 +37,7 @@ def nearest_rotation(s: wp.mat33) -> wp.mat33:
     return rotation
 
 
+@sizes("threads: T*V; row: V+1; column: E; rest: V; vertices rotation_out: T V")
 @wp.kernel
 def _fit_rotations(
     # In:
@@ -58,6 +60,7 @@ def _fit_rotations(
     rotation_out[t, i] = nearest_rotation(s)
 
 
+@sizes("threads: T*V; row: V+1; column: E; rest: V; rotation vertices pull_out: T V")
 @wp.kernel
 def _rigid_pull(
     # In:
@@ -83,6 +86,7 @@ def _rigid_pull(
     pull_out[t, i] = pull_out[t, i] + weight * total
 
 
+@sizes("threads pull_out: V; frames: A; row: V+1; column: E; rotation vertices: T V")
 @wp.kernel
 def _rest_pull(
     # In:

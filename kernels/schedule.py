@@ -8,6 +8,7 @@ from __future__ import annotations
 import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -19,6 +20,7 @@ DELTA = wp.constant(3)  # exponent of the confidence
 SCHEDULE_SIZE = 4
 
 
+@sizes(f"threads step: 1; schedule_out: {SCHEDULE_SIZE}")
 @wp.kernel
 def _advance(
     # In:

@@ -18,6 +18,7 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.levels import node8
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -60,6 +61,7 @@ def adj_crossing(s_i: float, s_j: float, adj: float) -> wp.vec2:
     return g
 
 
+@sizes("threads vertices_out outward_out: E; edges: E 2; rest field: N")
 @wp.kernel
 def _surface_vertices(
     # In:
@@ -88,6 +90,7 @@ def _surface_vertices(
     outward_out[e] = along
 
 
+@sizes("threads adj_vertices: E; edges: E 2; rest field adj_field_out: N")
 @wp.kernel
 def _adj_surface_vertices(
     # In:
@@ -118,6 +121,7 @@ def _adj_surface_vertices(
     wp.atomic_add(adj_field_out, j, node8(g[1], to_j[0], to_j[1], to_j[2], 0.0, 0.0, 0.0, 0.0))
 
 
+@sizes("threads sides nearest: Q; target_sides: N")
 @wp.kernel
 def _part_opposed(
     # In:

@@ -17,6 +17,7 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.pairs import Pairs, own_weight, pair_plane
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -32,6 +33,7 @@ def middle_of_arc(p: wp.vec3, q: wp.vec3, turn: wp.mat33) -> wp.vec3:
     return 0.5 * (p + q) + (0.5 / (1.0 + wp.sqrt(1.0 + wp.length_sq(z)))) * wp.cross(q - p, z)
 
 
+@sizes("threads: T*V; near far between: T; vertices rotation expected_out: T V")
 @wp.kernel
 def _expected_places(
     # In:
@@ -57,6 +59,7 @@ def _expected_places(
         expected_out[t, i] = p + wp.transpose(turn) * (p - q)
 
 
+@sizes("threads: K=P; expected matrix_out pull_out: P; hold: T")
 @wp.kernel
 def _hold_unseen(
     # In:

@@ -6,10 +6,12 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.levels import node8
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
 
+@sizes("threads array_out: N")
 @wp.kernel
 def _clear(
     # In:
@@ -20,6 +22,7 @@ def _clear(
     array_out[begin + wp.tid()] = wp.float64(0.0)
 
 
+@sizes("threads array_out: N")
 @wp.kernel
 def _clear_rows(
     # In:
@@ -30,6 +33,7 @@ def _clear_rows(
     array_out[begin + wp.tid()] = wp.vec3(0.0, 0.0, 0.0)
 
 
+@sizes("threads source target_out: N")
 @wp.kernel
 def _copy(
     # In:
@@ -41,6 +45,7 @@ def _copy(
     target_out[i] = source[i]
 
 
+@sizes("threads change target_out: N")
 @wp.kernel
 def _add_scaled(
     # In:
@@ -54,6 +59,7 @@ def _add_scaled(
     target_out[i] = target_out[i] + scale * change[i]
 
 
+@sizes("threads source target: N")
 @wp.kernel
 def _blend(
     # In:
@@ -66,6 +72,7 @@ def _blend(
     target[i] = target[i] + share * (source[i] - target[i])
 
 
+@sizes("threads array_out: N")
 @wp.kernel
 def _clear_nodes(
     # In:

@@ -11,10 +11,12 @@ from __future__ import annotations
 import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
 
+@sizes("threads places winding_out: K; points area_normals: N")
 @wp.kernel
 def _winding_numbers(
     # In:

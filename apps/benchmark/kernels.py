@@ -7,6 +7,7 @@ import warp as wp
 from warpdef.kernels.cayley import rotate
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.levels import node8
+from warpdef.kernels.sizes import sizes
 from warpdef.kernels.trilinear import adj_sample, sample
 
 wp.set_module_options(MODULE_OPTIONS)
@@ -14,14 +15,17 @@ wp.set_module_options(MODULE_OPTIONS)
 FLOPS_PER_ROUND = 160
 
 
+@sizes("threads points transition value_out: N; nodes: S M; levels: 2*L; level_count: L")
 @wp.kernel
 def _sample_only(
+    # In:
     begin: int,
     nodes: wp.array2d[node8],
     levels: wp.array[wp.int32],
     level_count: int,
     points: wp.array[wp.vec3],
     transition: wp.array[wp.int32],
+    # Out:
     value_out: wp.array[node8],
 ):
     """One thread a point."""
@@ -30,14 +34,17 @@ def _sample_only(
     value_out[i] = sample(nodes, transition[i], levels, level_count, x[0], x[1], x[2])
 
 
+@sizes("threads points transition adj_value: N; levels: 2*L; level_count: L; adj_nodes_out: S M")
 @wp.kernel
 def _adj_sample_only(
+    # In:
     begin: int,
     levels: wp.array[wp.int32],
     level_count: int,
     points: wp.array[wp.vec3],
     transition: wp.array[wp.int32],
     adj_value: wp.array[node8],
+    # Out, added to:
     adj_nodes_out: wp.array2d[node8],
 ):
     """One thread a point."""
@@ -46,11 +53,14 @@ def _adj_sample_only(
     adj_sample(adj_nodes_out, transition[i], levels, level_count, x[0], x[1], x[2], adj_value[i])
 
 
+@sizes("threads rotation points moved_out: N")
 @wp.kernel
 def _rotate_only(
+    # In:
     begin: int,
     rotation: wp.array[wp.vec3],
     points: wp.array[wp.vec3],
+    # Out:
     moved_out: wp.array[wp.vec3],
 ):
     """One thread a point."""
@@ -86,8 +96,16 @@ _MULTIPLY_ADD = """
 def multiply_adds(rounds: int, x: float, y: float) -> float: ...
 
 
+@sizes("threads out: N")
 @wp.kernel
-def _multiply_adds(rounds: int, x: float, y: float, out: wp.array[wp.float32]):
+def _multiply_adds(
+    # In:
+    rounds: int,
+    x: float,
+    y: float,
+    # Out:
+    out: wp.array[wp.float32],
+):
     """One thread an entry: FLOPS_PER_ROUND operations a round, in registers of eight floats as all kernels use."""
     out[wp.tid()] = multiply_adds(rounds, x, y)
 
