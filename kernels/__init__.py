@@ -1,7 +1,28 @@
 """Warp kernels of the method, each with its hand-written adjoint. Imports only Warp and NumPy.
 
-A room a file. Motion: `levels` (node layout), `trilinear` (sampling), `cayley` (rotations), `motion` (moving points and
-vertices). Terms: `cells` and `neighbours` (exact nearest neighbours), `chamfer`, `isometry`. Descent: `graphs`, `cg`
-and `cosine` (Sobolev solves), `adam`, `schedule` (what changes with the iteration). Vertex stage: `planes`, `rigidity`,
-`block_cg`. And `launching`: how a launch runs or is recorded.
+A room a file, in the order in which an iteration goes through them:
+
+    launching, sizes        how a launch runs or is recorded, and what it asks of its arguments, once
+    ways                    which way work goes on a device: in spans, or whole
+    levels, trilinear       where grid nodes lie; what they say at a point
+    cayley, motion          rotations; clouds and vertices moved by the grids, and the way back
+    cells, packets          points sorted into cells; sixteen queries searched at a time
+    neighbours              exact nearest neighbours on those, for chamfer and for pairs
+    chamfer, isometry       the loss terms and their gradients
+    confidence, schedule    how far a frame is trusted; what changes from one iteration to the next
+    graphs                  which nodes smooth which
+    cosine                  the Sobolev solve on full grids,
+    cholesky                on the template, factorised once,
+    cg, cg_kernels          and on any graph
+    adam, finite            the step; whether numbers are still numbers
+    vectors                 clear, copy, add and blend
+
+The vertex stage, which begins where the grids end:
+
+    pairs                   vertices and cloud points paired, as all of its terms see them
+    planes, borders         residuals to the clouds, and across the border of an open mesh
+    unseen                  what holds a vertex where a frame has no points
+    rigidity, block_cg      how edges turn with their vertices; the solve for all moves at once
+
+For a template without Poisson: ``tetrahedra`` (marching, on a deforming grid) and ``winding`` (inside a cloud or not).
 """

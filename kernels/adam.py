@@ -61,7 +61,10 @@ for _dtype in (node8, wp.vec3):
     wp.overload(_adam, [int, int, wp.array[wp.float32], wp.array[wp.float32], float, float, float, *_arrays])
 
 
-def adam(begin, count, rate, schedule, betas, epsilon, gradient, first, second, parameter):
+def adam(
+    begin: int, count: int, rate: wp.array, schedule: wp.array, betas: tuple[float, float], epsilon: float,
+    gradient: wp.array, first: wp.array, second: wp.array, parameter: wp.array,
+) -> None:  # fmt: skip
     """One step for parameters ``begin .. begin + count``.
 
     Args:

@@ -274,7 +274,10 @@ class BlockSolver:
         steps = iterations_max + 1 if self._stepwise else 1
         self._sums = wp.zeros((steps, frame_count), dtype=wp.vec3, device=device)
 
-    def solve(self, first: int, last: int, alpha: float, beta: float, matrix, rhs, solution_out) -> None:
+    def solve(
+        self, first: int, last: int, alpha: float, beta: float, matrix: wp.array, rhs: wp.array,
+        solution_out: wp.array,
+    ) -> None:  # fmt: skip
         """Solve frames ``first .. last`` (last excluded); stepwise all of them.
 
         Args:
@@ -289,7 +292,9 @@ class BlockSolver:
         results = [solution_out, self.iterations, self.residual]
         launch(_solve_frames, last - first, [first, *system, *work, *results], self._device)
 
-    def _solve_stepwise(self, alpha: float, beta: float, matrix, rhs, solution_out) -> None:
+    def _solve_stepwise(
+        self, alpha: float, beta: float, matrix: wp.array, rhs: wp.array, solution_out: wp.array,
+    ) -> None:  # fmt: skip
         device, shape, sums = self._device, rhs.shape, self._sums
         tolerance, steps = self._limits
         work = [self._r, self._p]

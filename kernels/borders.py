@@ -93,7 +93,10 @@ def _cloud_borders(
                 wp.atomic_add(pull_out, j, (-w * wp.dot(b, d)) * b)
 
 
-def vertex_borders(begin, count, pairs, border, stiffness, gap, matrix_out, pull_out):
+def vertex_borders(
+    begin: int, count: int, pairs: Pairs, border: wp.array, stiffness: float, gap: wp.array, matrix_out: wp.array,
+    pull_out: wp.array,
+) -> None:  # fmt: skip
     """Add the border's part of vertex-to-cloud pairs, vertices ``begin .. begin + count`` of all frames.
 
     Args:
@@ -105,6 +108,9 @@ def vertex_borders(begin, count, pairs, border, stiffness, gap, matrix_out, pull
     launch(_vertex_borders, count, [begin, pairs, border, stiffness, gap, matrix_out, pull_out], matrix_out.device)
 
 
-def cloud_borders(begin, count, pairs, border, stiffness, matrix_out, pull_out):
+def cloud_borders(
+    begin: int, count: int, pairs: Pairs, border: wp.array, stiffness: float, matrix_out: wp.array,
+    pull_out: wp.array,
+) -> None:  # fmt: skip
     """Add what cloud points beyond the border ask for, points ``begin .. begin + count``; pairs by point."""
     launch(_cloud_borders, count, [begin, pairs, border, stiffness, matrix_out, pull_out], matrix_out.device)

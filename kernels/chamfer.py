@@ -140,24 +140,15 @@ def _fixed_to_moving(
         wp.atomic_add(adj_moving_out, j, adj_residual_energy(r, normals[i], tangential, w * weight[s]))
 
 
-BOTH_SIDES = (None, None)  # every pair counts
+OneSided = tuple[wp.array | None, wp.array | None]
+BOTH_SIDES: OneSided = (None, None)  # every pair counts
 
 
 def moving_to_fixed(
-    begin,
-    count,
-    moving,
-    slot,
-    nearest,
-    fixed,
-    normals,
-    share,
-    weight,
-    robust,
-    loss_out,
-    adj_moving_out,
-    one_sided=BOTH_SIDES,
-):
+    begin: int, count: int, moving: wp.array, slot: wp.array, nearest: wp.array, fixed: wp.array, normals: wp.array,
+    share: wp.array, weight: wp.array, robust: tuple[float, int, float], loss_out: wp.array, adj_moving_out: wp.array,
+    one_sided: OneSided = BOTH_SIDES,
+) -> None:  # fmt: skip
     """First half of CD_R, from every moving point to its nearest fixed one.
 
     Args:
@@ -176,20 +167,10 @@ def moving_to_fixed(
 
 
 def fixed_to_moving(
-    begin,
-    count,
-    fixed,
-    normals,
-    slot,
-    nearest,
-    moving,
-    share,
-    weight,
-    robust,
-    loss_out,
-    adj_moving_out,
-    one_sided=BOTH_SIDES,
-):
+    begin: int, count: int, fixed: wp.array, normals: wp.array, slot: wp.array, nearest: wp.array, moving: wp.array,
+    share: wp.array, weight: wp.array, robust: tuple[float, int, float], loss_out: wp.array, adj_moving_out: wp.array,
+    one_sided: OneSided = BOTH_SIDES,
+) -> None:  # fmt: skip
     """Second half of CD_R, from every fixed point to its nearest moving one; adds to ``adj_moving_out``.
 
     Shapes as in ``moving_to_fixed``, with slot and nearest of shape (B,) and the way back of shape (A,).

@@ -53,7 +53,10 @@ def _confidence(
         confidence_out[t] = wp.float32(w)
 
 
-def confidence(enabled, bound_is_mean, keyframe, schedule, loss_input, loss_transform, confidence_out):
+def confidence(
+    enabled: bool, bound_is_mean: bool, keyframe: int, schedule: wp.array, loss_input: wp.array,
+    loss_transform: wp.array, confidence_out: wp.array,
+) -> None:  # fmt: skip
     """Weights of all frames from this iteration's losses, in the same units as these.
 
     Args:

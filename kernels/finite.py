@@ -32,7 +32,7 @@ for _dtype in (node8, wp.vec3):
     wp.overload(_flag_not_finite, [wp.array[_dtype], wp.array[wp.int32]])
 
 
-def flag_not_finite(array, flag_out):
+def flag_not_finite(array: wp.array, flag_out: wp.array) -> None:
     """Set ``flag_out[0]`` to 1 if ``array`` holds NaN or infinity; else leave it.
 
     Args:

@@ -158,7 +158,10 @@ def path_width(frame_count: int) -> int:
     return -(-frame_count // _FRAMES) * _FRAMES + 2
 
 
-def isometry(begin, count, vertices, edges, share, weight, loss_out, adj_vertices_out):
+def isometry(
+    begin: int, count: int, vertices: wp.array, edges: wp.array, share: float, weight: float, loss_out: wp.array,
+    adj_vertices_out: wp.array,
+) -> None:  # fmt: skip
     """Loss and gradient for ``count`` edges from ``begin``, counted over all frames (frame t owns E of them).
 
     Args:
@@ -170,12 +173,15 @@ def isometry(begin, count, vertices, edges, share, weight, loss_out, adj_vertice
     launch(_isometry, count, inputs, vertices.device)
 
 
-def lay_paths(begin, count, vertices, paths_out):
+def lay_paths(begin: int, count: int, vertices: wp.array, paths_out: wp.array) -> None:
     """Positions of ``count`` vertices from ``begin`` over all frames; shape (V, 3, ``path_width(T)``) float32."""
     launch(_lay_paths, count, [begin, vertices, paths_out], vertices.device)
 
 
-def isometry_of_vertices(begin, count, paths, row, column, share, weight, part, loss_out, adj_vertices_out):
+def isometry_of_vertices(
+    begin: int, count: int, paths: wp.array, row: wp.array, column: wp.array, share: float, weight: float, part: int,
+    loss_out: wp.array, adj_vertices_out: wp.array,
+) -> None:  # fmt: skip
     """What ``isometry`` does, on the CPU, for ``count`` vertices from ``begin`` and all frames; other tasks do others.
 
     Args:

@@ -163,7 +163,10 @@ def _scatter_vertices(
     adj_sample(adj_nodes_out, transition, levels, level_count, x[0], x[1], x[2], adj_motion[transition, i])
 
 
-def move_points(begin, count, nodes, levels, points, transition, rotation_out, moved_out):
+def move_points(
+    begin: int, count: int, nodes: wp.array, levels: wp.array, points: wp.array, transition: wp.array,
+    rotation_out: wp.array, moved_out: wp.array,
+) -> None:  # fmt: skip
     """Move ``count`` cloud points from ``begin``, each by its own transition's grid.
 
     Args:
@@ -175,13 +178,19 @@ def move_points(begin, count, nodes, levels, points, transition, rotation_out, m
     launch(_move_points, count, inputs, nodes.device)
 
 
-def adj_move_points(begin, count, levels, points, transition, rotation, adj_moved, adj_nodes_out):
+def adj_move_points(
+    begin: int, count: int, levels: wp.array, points: wp.array, transition: wp.array, rotation: wp.array,
+    adj_moved: wp.array, adj_nodes_out: wp.array,
+) -> None:  # fmt: skip
     """Adjoint of ``move_points`` to the nodes; adds to ``adj_nodes_out``, shape (S, M) node8."""
     inputs = [begin, levels, len(levels) // 2, points, transition, rotation, adj_moved, adj_nodes_out]
     launch(_adj_move_points, count, inputs, adj_nodes_out.device)
 
 
-def move_vertices(begin, count, transition, source, target, nodes, levels, vertices, rotation_out, jacobian_out):
+def move_vertices(
+    begin: int, count: int, transition: int, source: int, target: int, nodes: wp.array, levels: wp.array,
+    vertices: wp.array, rotation_out: wp.array, jacobian_out: wp.array,
+) -> None:  # fmt: skip
     """Move vertices ``begin .. begin + count`` of frame ``source`` to frame ``target`` by grid ``transition``.
 
     Args:
@@ -193,9 +202,10 @@ def move_vertices(begin, count, transition, source, target, nodes, levels, verti
 
 
 def adj_move_vertices(
-    begin, count, transition, source, target, carry_target, carry_source,
-    vertices, rotation, jacobian, confidence, adj_chamfer, adj_isometry, carry, adj_motion_out,
-):  # fmt: skip
+    begin: int, count: int, transition: int, source: int, target: int, carry_target: int, carry_source: int,
+    vertices: wp.array, rotation: wp.array, jacobian: wp.array, confidence: wp.array, adj_chamfer: wp.array,
+    adj_isometry: wp.array, carry: wp.array, adj_motion_out: wp.array,
+) -> None:  # fmt: skip
     """Adjoint of ``move_vertices``: six-vector gradients of one step, and the gradient carried to frame ``source``.
 
     Args:
@@ -211,7 +221,10 @@ def adj_move_vertices(
     launch(_adj_move_vertices, count, inputs, vertices.device)
 
 
-def scatter_vertices(begin, count, transition, source, levels, vertices, adj_motion, adj_nodes_out):
+def scatter_vertices(
+    begin: int, count: int, transition: int, source: int, levels: wp.array, vertices: wp.array, adj_motion: wp.array,
+    adj_nodes_out: wp.array,
+) -> None:  # fmt: skip
     """Add the six-vector gradients of one step, shape (S, V) node8, to the nodes around the vertices of ``source``."""
     inputs = [begin, transition, source, levels, len(levels) // 2, vertices, adj_motion, adj_nodes_out]
     launch(_scatter_vertices, count, inputs, adj_nodes_out.device)
@@ -237,7 +250,10 @@ def _template_gradient(
     adj_template_out[i] = a
 
 
-def template_gradient(keyframe, follow, adj_chamfer, adj_isometry, carry, adj_template_out):
+def template_gradient(
+    keyframe: int, follow: bool, adj_chamfer: wp.array, adj_isometry: wp.array, carry: wp.array,
+    adj_template_out: wp.array,
+) -> None:  # fmt: skip
     """Gradient of the template: the mesh term alone, or with ``follow`` everything that reaches the keyframe.
 
     Args:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from warpdef.kernels.chamfer import BOTH_SIDES, mutual_weight
+from warpdef.kernels.chamfer import BOTH_SIDES, OneSided, mutual_weight
 from warpdef.kernels.launching import MODULE_OPTIONS
 from warpdef.kernels.sizes import sizes
 
@@ -65,7 +65,10 @@ def own_weight(pairs: Pairs, vertex: int, point: int, frame: int) -> float:
     return pair_weight(pairs, vertex, point, frame) * mutual
 
 
-def pairs_of(pairing, vertices, normals, frame, nearest, cloud, cloud_normals, one_sided=BOTH_SIDES) -> Pairs:
+def pairs_of(
+    pairing: tuple[float, float, wp.array], vertices: wp.array, normals: wp.array, frame: wp.array, nearest: wp.array,
+    cloud: wp.array, cloud_normals: wp.array, one_sided: OneSided = BOTH_SIDES,
+) -> Pairs:  # fmt: skip
     """Pairs of one direction of a search; the arrays are taken as they are and read at every launch.
 
     Args:

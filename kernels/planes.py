@@ -84,7 +84,10 @@ def _cloud_planes(
         wp.atomic_add(pull_out, j, (-w * wp.dot(a, pairs.vertices[j] - pairs.cloud[i])) * a)
 
 
-def vertex_normals(begin, count, faces, face_row, face_of, vertices, normals_out):
+def vertex_normals(
+    begin: int, count: int, faces: wp.array, face_row: wp.array, face_of: wp.array, vertices: wp.array,
+    normals_out: wp.array,
+) -> None:  # fmt: skip
     """Unit normals of ``count`` vertices from ``begin``, counted over all frames.
 
     Args:
@@ -94,7 +97,7 @@ def vertex_normals(begin, count, faces, face_row, face_of, vertices, normals_out
     launch(_vertex_normals, count, [begin, faces, face_row, face_of, vertices, normals_out], vertices.device)
 
 
-def vertex_planes(begin, count, pairs, matrix_out, pull_out):
+def vertex_planes(begin: int, count: int, pairs: Pairs, matrix_out: wp.array, pull_out: wp.array) -> None:
     """Normal equations of vertex-to-cloud pairs, vertices ``begin .. begin + count`` of all frames.
 
     Args:
@@ -103,6 +106,6 @@ def vertex_planes(begin, count, pairs, matrix_out, pull_out):
     launch(_vertex_planes, count, [begin, pairs, matrix_out, pull_out], matrix_out.device)
 
 
-def cloud_planes(begin, count, pairs, matrix_out, pull_out):
+def cloud_planes(begin: int, count: int, pairs: Pairs, matrix_out: wp.array, pull_out: wp.array) -> None:
     """Add the normal equations of cloud-to-vertex pairs, by point, for points ``begin .. begin + count``."""
     launch(_cloud_planes, count, [begin, pairs, matrix_out, pull_out], matrix_out.device)

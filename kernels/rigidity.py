@@ -111,7 +111,10 @@ def _rest_pull(
     pull_out[i] = total / float(frames.shape[0])
 
 
-def fit_rotations(begin, count, row, column, rest, vertices, rotation_out):
+def fit_rotations(
+    begin: int, count: int, row: wp.array, column: wp.array, rest: wp.array, vertices: wp.array,
+    rotation_out: wp.array,
+) -> None:  # fmt: skip
     """Best rotation of ``count`` vertices from ``begin``, counted over all frames (frame t owns V of them).
 
     Args:
@@ -121,12 +124,18 @@ def fit_rotations(begin, count, row, column, rest, vertices, rotation_out):
     launch(_fit_rotations, count, [begin, row, column, rest, vertices, rotation_out], vertices.device)
 
 
-def rigid_pull(begin, count, weight, row, column, rest, rotation, vertices, pull_out):
+def rigid_pull(
+    begin: int, count: int, weight: float, row: wp.array, column: wp.array, rest: wp.array, rotation: wp.array,
+    vertices: wp.array, pull_out: wp.array,
+) -> None:  # fmt: skip
     """Add ``weight`` times minus half the gradient to the vertices; shapes as in ``fit_rotations``."""
     launch(_rigid_pull, count, [begin, weight, row, column, rest, rotation, vertices, pull_out], vertices.device)
 
 
-def rest_pull(begin, count, frames, row, column, rotation, vertices, pull_out):
+def rest_pull(
+    begin: int, count: int, frames: wp.array, row: wp.array, column: wp.array, rotation: wp.array, vertices: wp.array,
+    pull_out: wp.array,
+) -> None:  # fmt: skip
     """Right-hand side of L y = pull for the best rest shape, vertices ``begin .. begin + count``; shape (V,) vec3.
 
     Args:

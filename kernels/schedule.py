@@ -46,7 +46,9 @@ def _advance(
     step[0] = e + 1
 
 
-def advance(iterations, cosine_decay, beta1, beta2, step, schedule_out):
+def advance(
+    iterations: int, cosine_decay: bool, beta1: float, beta2: float, step: wp.array, schedule_out: wp.array,
+) -> None:  # fmt: skip
     """Fill the schedule for iteration ``step[0]`` (counted from 0) of ``iterations``, then count it."""
     inputs = [iterations, int(cosine_decay), beta1, beta2, step, schedule_out]
     launch(_advance, 1, inputs, step.device)

@@ -133,7 +133,9 @@ def _table_of(kernel: wp.Kernel, entries: dict[str, str]) -> _Table:
     told = {size.name for argument in table.arguments for size in argument.names if not argument.optional}
     asked = [size for argument in table.arguments for size in argument.sums] + list(table.threads)
     lost = {name for size in asked for _, names in size.terms for name in names} - told
-    if entries or lost or not threads:
+    if not threads:
+        raise TypeError(f"sizes of {table.name}: expected an entry for threads, got none")
+    if entries or lost:
         raise TypeError(f"sizes of {table.name}: no such arguments: {sorted(entries)}; told by none: {sorted(lost)}")
     return table
 
@@ -171,7 +173,7 @@ def check(kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any], 
             if value.dtype is not dtype and not wp.types.types_equal(value.dtype, dtype):
                 raise TypeError(f"{table.name}: {a.label}: expected dtype {_name(dtype)}, got {_name(value.dtype)}")
             if value.ndim != a.rank:
-                raise ValueError(f"{table.name}: {a.label}: expected {a.rank} axes, got shape {value.shape}")
+                raise ValueError(f"{table.name}: {a.label}: expected {a.rank}-dimensional, got shape {value.shape}")
             if value.device is not device and value.device != device:
                 raise ValueError(f"{table.name}: {a.label}: expected an array on {device}, got one on {value.device}")
             if not value.is_contiguous:
@@ -212,7 +214,7 @@ def _refuse(table: _Table, a: _Argument, shape: tuple[int, ...], size: _Size, kn
     told = ", ".join(f"{name} = {known[name][0]} of {known[name][1]}" for name in names)
     axis = f"axis {size.axis} of length " if a.rank > 1 else "length " if a.rank else "below " if a.below else ""
     number = "" if size.name else f" = {size.number(known)}"
-    got = f"shape {shape}" if a.rank else str(shape[0])
+    got = f"shape {shape}" if a.rank > 1 else str(shape[0])
     raise ValueError(f"{table.name}: {a.label}: expected {axis}{size.text}{number}{told and f' ({told})'}, got {got}")
 
 

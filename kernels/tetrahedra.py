@@ -139,7 +139,10 @@ def _part_opposed(
             nearest[i] = -1
 
 
-def surface_vertices(begin, count, edges, rest, field, bound, vertices_out, outward_out):
+def surface_vertices(
+    begin: int, count: int, edges: wp.array, rest: wp.array, field: wp.array, bound: float, vertices_out: wp.array,
+    outward_out: wp.array,
+) -> None:  # fmt: skip
     """One vertex for each of ``count`` crossed edges from ``begin``, and the edge's direction from inside to outside.
 
     On a flat surface that direction and the outward normal never make more than a right angle.
@@ -153,13 +156,16 @@ def surface_vertices(begin, count, edges, rest, field, bound, vertices_out, outw
     launch(_surface_vertices, count, [begin, edges, rest, field, bound, vertices_out, outward_out], rest.device)
 
 
-def adj_surface_vertices(begin, count, edges, rest, field, bound, adj_vertices, adj_field_out):
+def adj_surface_vertices(
+    begin: int, count: int, edges: wp.array, rest: wp.array, field: wp.array, bound: float, adj_vertices: wp.array,
+    adj_field_out: wp.array,
+) -> None:  # fmt: skip
     """Add to ``adj_field_out``, shape (N,) node8, what ``adj_vertices``, shape (E,) vec3, ask of the nodes."""
     inputs = [begin, edges, rest, field, bound, adj_vertices, adj_field_out]
     launch(_adj_surface_vertices, count, inputs, rest.device)
 
 
-def part_opposed(begin, count, sides, target_sides, nearest):
+def part_opposed(begin: int, count: int, sides: wp.array, target_sides: wp.array, nearest: wp.array) -> None:
     """Set ``nearest`` to -1 where query and target look to opposite sides: the other side of a thin limb.
 
     Args:

@@ -84,7 +84,10 @@ def _hold_unseen(
         pull_out[i] = pull_out[i] + h * (expected[i] - pairs.vertices[i])
 
 
-def expected_places(begin, count, near, far, between, vertices, rotation, expected_out):
+def expected_places(
+    begin: int, count: int, near: wp.array, far: wp.array, between: wp.array, vertices: wp.array, rotation: wp.array,
+    expected_out: wp.array,
+) -> None:  # fmt: skip
     """Expected places of ``count`` vertices from ``begin``, counted over all frames.
 
     Args:
@@ -95,7 +98,10 @@ def expected_places(begin, count, near, far, between, vertices, rotation, expect
     launch(_expected_places, count, inputs, vertices.device)
 
 
-def hold_unseen(begin, count, pairs, expected, hold, matrix_out, pull_out):
+def hold_unseen(
+    begin: int, count: int, pairs: Pairs, expected: wp.array, hold: wp.array, matrix_out: wp.array,
+    pull_out: wp.array,
+) -> None:  # fmt: skip
     """Hold what has no points, vertices ``begin .. begin + count`` of all frames; added to what is there.
 
     Args:

@@ -83,31 +83,31 @@ def _clear_nodes(
     array_out[begin + wp.tid()] = node8()
 
 
-def clear_losses(begin, count, array):
+def clear_losses(begin: int, count: int, array: wp.array) -> None:
     """Zero a span of a float64 array."""
     launch(_clear, count, [begin, array], array.device)
 
 
-def clear_vectors(begin, count, array):
+def clear_vectors(begin: int, count: int, array: wp.array) -> None:
     """Zero a span of a vec3 array."""
     launch(_clear_rows, count, [begin, array], array.device)
 
 
-def copy_vectors(source, target_out):
+def copy_vectors(source: int, target_out: wp.array) -> None:
     """Copy a vec3 array, recordable like any launch."""
     launch(_copy, len(source), [source, target_out], source.device)
 
 
-def add_scaled(begin, count, scale, change, target_out):
+def add_scaled(begin: int, count: int, scale: float, change: wp.array, target_out: wp.array) -> None:
     """``target += scale change`` for a span of a vec3 array."""
     launch(_add_scaled, count, [begin, scale, change, target_out], target_out.device)
 
 
-def blend(share, source, target_out):
+def blend(share: float, source: int, target_out: wp.array) -> None:
     """``target += share (source - target)``; a share above 1 overshoots."""
     launch(_blend, len(source), [share, source, target_out], target_out.device)
 
 
-def clear_nodes(begin, count, array):
+def clear_nodes(begin: int, count: int, array: wp.array) -> None:
     """Zero a span of a node8 array."""
     launch(_clear_nodes, count, [begin, array], array.device)

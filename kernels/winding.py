@@ -39,7 +39,9 @@ def _winding_numbers(
     winding_out[k] = total / (4.0 * wp.PI)
 
 
-def winding_numbers(begin, count, points, area_normals, places, winding_out):
+def winding_numbers(
+    begin: int, count: int, points: wp.array, area_normals: wp.array, places: wp.array, winding_out: wp.array,
+) -> None:  # fmt: skip
     """Winding numbers at ``count`` places from ``begin``.
 
     Args:

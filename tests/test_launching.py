@@ -1,4 +1,4 @@
-"""Launches run at once or are recorded; arrays are checked before."""
+"""Launches run at once or are recorded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 import warp as wp
 
 from warpdef.kernels.launching import recording
-from warpdef.kernels.sizes import require
 from warpdef.kernels.vectors import clear_losses
 
 
@@ -59,14 +58,3 @@ def test_an_empty_span_is_no_launch(ones: wp.array) -> None:
     with recording() as commands:
         clear_losses(3, 0, ones)
     assert commands == []
-
-
-def test_require(device: str) -> None:
-    array = wp.zeros((2, 3), dtype=wp.vec3, device=device)
-    require(array, "vertices", wp.vec3, (2, None))
-    with pytest.raises(TypeError, match="vertices: expected dtype float32, got vec3"):
-        require(array, "vertices", wp.float32, (2, 3))
-    with pytest.raises(ValueError, match=r"vertices: expected shape \(2, 4\), got \(2, 3\)"):
-        require(array, "vertices", wp.vec3, (2, 4))
-    with pytest.raises(ValueError, match=r"vertices: expected shape \(None,\), got \(2, 3\)"):
-        require(array, "vertices", wp.vec3, (None,))

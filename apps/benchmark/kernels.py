@@ -96,7 +96,7 @@ _MULTIPLY_ADD = """
 def multiply_adds(rounds: int, x: float, y: float) -> float: ...
 
 
-@sizes("threads out: N")
+@sizes("threads value_out: N")
 @wp.kernel
 def _multiply_adds(
     # In:
@@ -104,29 +104,35 @@ def _multiply_adds(
     x: float,
     y: float,
     # Out:
-    out: wp.array[wp.float32],
+    value_out: wp.array[wp.float32],
 ):
     """One thread an entry: FLOPS_PER_ROUND operations a round, in registers of eight floats as all kernels use."""
-    out[wp.tid()] = multiply_adds(rounds, x, y)
+    value_out[wp.tid()] = multiply_adds(rounds, x, y)
 
 
-def sample_only(begin, count, nodes, levels, points, transition, value_out):
+def sample_only(
+    begin: int, count: int, nodes: wp.array, levels: wp.array, points: wp.array, transition: wp.array,
+    value_out: wp.array,
+) -> None:  # fmt: skip
     """The six-vectors at points; arguments as ``warpdef.kernels.motion.move_points``, value_out (N,) node8."""
     inputs = [begin, nodes, levels, len(levels) // 2, points, transition, value_out]
     launch(_sample_only, count, inputs, nodes.device)
 
 
-def adj_sample_only(begin, count, levels, points, transition, adj_value, adj_nodes_out):
+def adj_sample_only(
+    begin: int, count: int, levels: wp.array, points: wp.array, transition: wp.array, adj_value: wp.array,
+    adj_nodes_out: wp.array,
+) -> None:  # fmt: skip
     """Adjoint of ``sample_only``; adds to ``adj_nodes_out``, (S, M) node8."""
     inputs = [begin, levels, len(levels) // 2, points, transition, adj_value, adj_nodes_out]
     launch(_adj_sample_only, count, inputs, adj_nodes_out.device)
 
 
-def rotate_only(begin, count, rotation, points, moved_out):
+def rotate_only(begin: int, count: int, rotation: wp.array, points: wp.array, moved_out: wp.array) -> None:
     """R(z) x of each point; all arrays (N,) vec3."""
     launch(_rotate_only, count, [begin, rotation, points, moved_out], points.device)
 
 
-def multiply_add_rounds(rounds, out):
+def multiply_add_rounds(rounds: int, out: wp.array) -> None:
     """``rounds`` of multiply-adds an entry of ``out``, (N,) float32."""
     launch(_multiply_adds, len(out), [rounds, 0.999, 0.001, out], out.device)
