@@ -1,11 +1,9 @@
 """What is asked of a kernel's arguments, once: when it is launched or recorded. A replay asks nothing.
 
 Dtypes and ranks stand in a kernel's signature, and its arrays must be contiguous and on one device. How long they must
-be no signature says, so every kernel carries a table:
+be no signature says, so every kernel carries a table above its head:
 
     @sizes("threads: T*V; row: V+1; rest: V; vertices rotation_out: T V; source: <T")
-    @wp.kernel
-    def _move(begin: int, source: int, row: wp.array[wp.int32], ...
 
 A capital stands for one number throughout; an entry that is nothing but the capital tells it. The entry of an array is
 its shape, and ``?`` behind it allows None; that of an int is the number it must be or, behind ``<``, stay below;
