@@ -123,6 +123,34 @@ def test_surface_folded_behind_another_is_told(meshes, clouds) -> None:
     assert any("behind or inside" in reason for reason in found.verdicts[0].reasons)
 
 
+def test_a_wall_inside_the_points_is_named(meshes, clouds) -> None:
+    """A disc across the middle of the tube, as between two cells that were one; a scan of one half does not tell."""
+    ring = np.column_stack([np.zeros(32), VERTICES[:32, 1:]])
+    disc = np.concatenate([radius * ring for radius in np.linspace(0.1, 1.0, 10)])
+    a = np.arange(32)
+    b = (a + 1) % 32
+    rings = [32 * r for r in range(9)]
+    faces = [np.stack([i + x, i + y, i + 32 + y], axis=1) for i in rings for x, y in ((a, b),)]
+    faces += [np.stack([i + x, i + 32 + y, i + 32 + x], axis=1) for i in rings for x, y in ((a, b),)]
+    walled = np.stack([np.concatenate([v, disc + 0.1 * t * np.eye(3)[0]]) for t, v in enumerate(meshes)])
+    walled[3:, len(VERTICES) :] = walled[3:, :1]  # gone in the last two frames
+    both = np.concatenate([FACES, np.concatenate(faces) + len(VERTICES)])
+    found = assess(clouds, walled, both, KEYFRAME, shape=walled[0])
+    area = np.pi * (0.5 - 4.0 * found.frames[0].spacing) ** 2
+    assert found.frames[0].inner == pytest.approx(area / (np.pi * (4.0 + 0.5 + 0.25)), rel=0.3)
+    assert names(found)[:3] == ["doubtful"] * 3 and found.frames[3].inner == 0.0
+    assert any(line.startswith("surfaces meet or part in frames 0-2: up to ") for line in found.warnings())
+    half = assess([c[c[:, 2] > 0.0] for c in clouds], walled, both, KEYFRAME, shape=walled[0])
+    assert max(frame.inner for frame in half.frames) == 0.0 and half.frames[0].far > 0.3
+
+
+def test_growth_is_no_stretch(meshes, clouds) -> None:
+    meshes[4], clouds[4] = 1.7 * meshes[4], 1.7 * clouds[4]
+    found = assess(clouds, meshes, FACES, KEYFRAME)
+    assert names(found) == ["good"] * FRAMES
+    assert found.frames[4].stretch_p95 == pytest.approx(np.log(1.7)) and found.frames[4].stretched == 0.0
+
+
 def test_noise_is_no_fault(meshes, clouds) -> None:
     rng = np.random.default_rng(5)
     noisy = [cloud + rng.normal(scale=0.05, size=cloud.shape) for cloud in clouds]
@@ -145,7 +173,7 @@ def test_a_frame_without_points_is_doubtful(meshes, clouds) -> None:
 def test_the_keyframe_is_held_against_the_others(meshes, clouds) -> None:
     """It is its own shape: built from another body it differs from all others, and they from it."""
     wide = meshes.copy()
-    wide[KEYFRAME] = (VERTICES * [1.0, 1.7, 1.7]) + moved(KEYFRAME)[-1]
+    wide[KEYFRAME] = (VERTICES * [1.0, 2.2, 2.2]) + moved(KEYFRAME)[-1]
     clouds[KEYFRAME] = sample_surface(wide[KEYFRAME], FACES, POINTS, np.random.default_rng(0))[0]
     assert names(assess(clouds, wide, FACES, KEYFRAME)) == ["doubtful"] * FRAMES
     # With the shape known, the one alone.

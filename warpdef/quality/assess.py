@@ -11,10 +11,11 @@ import numpy as np
 from warpdef.cloud import draw_points
 from warpdef.quality.confidence import vertex_confidence
 from warpdef.quality.coverage import Coverage, measure_coverage
+from warpdef.quality.enclosed import inner_share
 from warpdef.quality.frame import FrameQuality
-from warpdef.quality.shape import STRETCHED, ReferenceShape, ShapeChange
+from warpdef.quality.shape import ReferenceShape, ShapeChange
 from warpdef.quality.temporal import acceleration, flicker
-from warpdef.quality.verdict import DOUBTFUL, LOST, Verdict, judge
+from warpdef.quality.verdict import DOUBTFUL, INNER_WALL, LOST, Verdict, judge
 from warpdef.sequence import name_frames
 
 POINTS_JUDGED = 20_000
@@ -52,6 +53,14 @@ class Assessment:
                 worst = max(found, key=lambda t: self.verdicts[t].severity)
                 where = f" (frame {worst})" if len(found) > 1 else ""
                 lines.append(f"{what} {name_frames(found)}: {self.verdicts[worst].reasons[0]}{where}")
+        pairs = zip(self.frames, self.verdicts, strict=True)
+        walls = [f for f, v in pairs if f.inner is not None and f.inner > INNER_WALL and v.name != LOST]
+        if walls:
+            most = max(walls, key=lambda f: f.inner or 0.0)
+            lines.append(
+                f"surfaces meet or part in {name_frames([f.frame for f in walls])}: up to {most.inner:.0%} of the mesh "
+                f"is a wall inside the points (frame {most.frame}), of low confidence"
+            )
         return lines
 
 
@@ -88,7 +97,8 @@ def assess(
         placed = vertices[t] - centre
         change = reference.compare(placed, usual if t == keyframe else None)
         coverage = measure_coverage(points - centre, placed, faces) if len(points) else None
-        frames.append(_frame(t, points, coverage, change, reference.extent, *(_number(c[t]) for c in calm)))
+        inner = inner_share(points - centre, placed, faces, coverage) if coverage is not None else None
+        frames.append(_frame(t, points, coverage, change, reference.extent, inner, *(_number(c[t]) for c in calm)))
         coverages.append(coverage)
         stretches.append(change.stretch)
     confidence = vertex_confidence(coverages, stretches, reference.edges, faces, vertices.shape[1])
@@ -101,12 +111,13 @@ def _frame(
     coverage: Coverage | None,
     change: ShapeChange,
     extent: float,
+    inner: float | None,
     frame_flicker: float | None,
     frame_acceleration: float | None,
 ) -> FrameQuality:
     seen: dict[str, float | None] = dict.fromkeys(
         ("spacing", "noise", "residual_mean", "residual_p95", "residual_mean_percent", "residual_p95_percent")
-        + ("misfit", "uncovered", "far", "unseen", "doubled", "torn")
+        + ("misfit", "uncovered", "far", "unseen", "doubled", "inner", "torn")
     )
     if coverage is not None:
         mean, high = float(coverage.residual.mean()), float(np.percentile(coverage.residual, 95.0))
@@ -122,6 +133,7 @@ def _frame(
             "far": coverage.far,
             "unseen": coverage.unseen,
             "doubled": coverage.unseen - coverage.far,
+            "inner": inner,
             "torn": coverage.share(coverage.far_faces * change.stretched),
         }
     return FrameQuality(
@@ -130,7 +142,7 @@ def _frame(
         **seen,
         stretch_p95=float(np.percentile(change.stretch, 95.0)),
         stretch_max=float(change.stretch.max()),
-        stretched=float(np.mean(change.stretch > np.log(STRETCHED))),
+        stretched=change.changed,
         folded=change.folded,
         thickness=change.thickness,
         thinned=change.thinned,

@@ -20,12 +20,13 @@ class FrameQuality:
     far:          share of the surface far from every point; on a partial scan that is no fault
     unseen:       share of the surface that the frame does not show, far or not
     doubled:      share of the surface that is near points but not the one that they lie on: behind or inside another
+    inner:        share of the surface that is far from every point and enclosed by them: a wall between what has parted
     torn:         share of the surface that is far from every point and stretched at that
     stretch_p95, stretch_max: of |log l / l_shape| over the edges
-    stretched:    share of the edges that are longer or shorter than in the shape by half
+    stretched:    share of the edges that are longer or shorter than in the shape by half, a growth of all taken off
     folded:       share of neighbouring faces folded by more than 90 degrees, that were not so in the shape
     thickness:    median distance of opposite vertices over that in the shape
-    thinned:      share of them whose distance has changed by half
+    thinned:      share of them whose distance has changed by half, a growth of all taken off
     volume:       over that of the shape; None where it is open
     flicker:      mean second difference of the vertex normals, degrees
     acceleration: mean second difference of the vertices, input units a frame squared
@@ -44,6 +45,7 @@ class FrameQuality:
     far: float | None
     unseen: float | None
     doubled: float | None
+    inner: float | None
     torn: float | None
     stretch_p95: float
     stretch_max: float

@@ -29,14 +29,17 @@ class ShapeChange:
     """One frame against the shape; E edges, F faces.
 
     stretch:   |log l / l_shape| of each edge                                               (E,)
-    stretched: faces with an edge more than ``STRETCHED`` times as long as in the shape     (F,)
+    changed:   share of the edges whose ratio differs by more than ``STRETCHED`` from the median of all
+    stretched: faces whose vertices are all on edges more than ``STRETCHED`` times as long as that  (F,)
     folded:    share of neighbouring faces folded by more than 90 degrees that were not so in the shape
     thickness: median of the pairs' distances over those in the shape; None where it is open
-    thinned:   share of the pairs whose distance has changed by more than ``STRETCHED``; None where it is open
+    thinned:   share of the pairs whose distance differs by more than ``STRETCHED`` from what that median makes of it;
+               None where it is open
     volume:    over that of the shape; None where it is open
     """
 
     stretch: np.ndarray
+    changed: float
     stretched: np.ndarray
     folded: float
     thickness: float | None
@@ -84,18 +87,22 @@ class ReferenceShape:
         ratio = np.maximum(self.edge_lengths(vertices)[usable] / rest[usable], 1e-3)
         stretch[usable] = np.log(ratio)
         grown = np.zeros(len(vertices), dtype=bool)
-        long = stretch > np.log(STRETCHED)
+        # A body that grows as a whole is not stretched.
+        scale = float(np.median(stretch[usable])) if usable.any() else 0.0
+        beyond = float(np.mean(np.abs(stretch - scale)[usable] > np.log(STRETCHED))) if usable.any() else 0.0
+        long = stretch - scale > np.log(STRETCHED)
         grown[self.edges[long].ravel()] = True
         thickness = thinned = volume = None
         one, other = self.pairs
         if len(one) >= _FEWEST:
             change = _distance(vertices, one, other) / np.maximum(_distance(self.vertices, one, other), 1e-300)
             thickness = float(np.median(change))
-            thinned = float(np.mean((change > STRETCHED) | (change < 1.0 / STRETCHED)))
+            thinned = float(np.mean(np.abs(np.log(np.maximum(change, 1e-3)) - scale) > np.log(STRETCHED)))
         if self._volume:
             volume = signed_volume(vertices, self.faces) / self._volume
         folded = float(np.mean(self._folded(vertices) & ~self._folds)) if len(self._folds) else 0.0
-        return ShapeChange(np.abs(stretch), grown[self.faces].all(axis=1), folded, thickness, thinned, volume)
+        torn = grown[self.faces].all(axis=1)
+        return ShapeChange(np.abs(stretch), beyond, torn, folded, thickness, thinned, volume)
 
     def _folded(self, vertices: np.ndarray) -> np.ndarray:
         a, b, c = vertices[self.faces].transpose(1, 0, 2)

@@ -35,6 +35,7 @@ class Bound:
 
 
 _NEVER = float("inf")
+INNER_WALL = 0.01
 
 BOUNDS = (
     Bound(
@@ -54,10 +55,10 @@ BOUNDS = (
     ),
     Bound(
         "torn",
-        0.003,
+        0.002,
         0.05,
         "{:.1%} of the surface is stretched across places without points",
-        "0 to 0.1 % where nothing is wrong; a web between two limbs has 0.5 % and more",
+        "0 to 0.1 % where nothing is wrong; a web between two limbs has 0.3 % and more",
     ),
     Bound(
         "doubled",
@@ -66,6 +67,13 @@ BOUNDS = (
         "{:.0%} of the surface lies behind or inside another part of it",
         "up to 3 % more than in the keyframe where nothing is wrong; crumpled and turned inside out 8 to 20 %",
         over_keyframe=True,
+    ),
+    Bound(
+        "inner",
+        INNER_WALL,
+        _NEVER,
+        "{:.0%} of the surface is a wall inside the points",
+        "none where nothing parts or meets; a cell that divides has 3 to 20 %",
     ),
     Bound(
         "stretched",
