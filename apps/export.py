@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from warpdef.apps.console import clean_stdout, say
+from warpdef.apps.console import clean_stdout
 from warpdef.apps.exit_codes import EXIT_OK
 from warpdef.config import parse_slice
-
-if TYPE_CHECKING:
-    from warpdef.export.animation import Animation
-    from warpdef.rig.decompose import Rig
 
 
 def export(
@@ -31,6 +27,10 @@ def export(
     frames: Annotated[str, Parameter(allow_leading_hyphen=True)] = "",
     metres_per_unit: Annotated[float, Parameter(validator=Number(gt=0))] = 1.0,
     bones: str = "",
+    color: Literal["template", "error", "stretch", "displacement", "confidence"] = "template",
+    input: Path | None = None,
+    truth: Path | None = None,
+    truth_frames: Annotated[str, Parameter(allow_leading_hyphen=True)] = "",
     precise: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
@@ -54,10 +54,25 @@ def export(
         bones: Fit so many rigid bones to the motion, or as many as it needs (--bones auto), and write a mesh that they
             move: .glb, or the bones alone as .bvh. Small, quick to play, and what animators go on with; the error is
             reported.
+        color: template: the colours and texture that the template has; else a measure in their place, as colours that
+            change in .glb and .usd and its kin, as numbers in .pvd, .ply and .npz: error, the distance to the truth's
+            surface, or else of the input's points; stretch and displacement, against the keyframe; confidence, how far
+            a place can be trusted.
+        input: The clouds it was made from, for --color error; clouds.npz in OUTPUT is taken where there is one.
+        truth: The true meshes, for --color error; truth.npz in OUTPUT is taken where there is one.
+        truth_frames: The truth's frames that the result was made from, start:stop:step.
         precise: Keep float32 in .glb, whose positions else are whole multiples of a small step, which is reported.
         overwrite: Replace an older export.
     """
-    from warpdef.export import check_place, check_rig, format_of
+    from warpdef.apps.export_options import (
+        fit_bones,
+        load_measures,
+        parse_bones,
+        say_measure,
+        say_quantised,
+        unit_name,
+    )
+    from warpdef.export import check_content, check_place, format_of
     from warpdef.export import export as write
     from warpdef.export.animation import load_animation
 
@@ -65,8 +80,10 @@ def export(
     form, bone_count = format_of(file, format), parse_bones(bones)
     rigged = bool(bones) or not form.writer
     check_place(file, form, overwrite)
-    check_rig(file, form, rigged)
+    measured = color != "template"
+    check_content(file, form, rigged, measured)
     with clean_stdout():
+        measures = load_measures(output, input, truth, parse_slice(truth_frames)) if measured else None
         animation = load_animation(
             output,
             frames=parse_slice(frames),
@@ -75,53 +92,18 @@ def export(
             metres_per_unit=metres_per_unit,
             slow=slow,
             recorded_fps=recorded_fps,
+            measures=measures,
+            color=color,
+            unit=unit_name(metres_per_unit),
         )
         rig = fit_bones(animation, bone_count) if rigged else None
         places = write(animation, file, format=format, overwrite=overwrite, rig=rig, precise=precise)
     frame_count, vertex_count = animation.vertices.shape[:2]
     report_places(f"{frame_count} frames, {vertex_count} vertices, {len(animation.faces)} faces", places, started)
+    say_measure(animation, (format or file.suffix).lower().removeprefix("."), rigged)
     if form.quantised and rig is None:
         say_quantised(animation, precise)
     return EXIT_OK
-
-
-def parse_bones(text: str) -> int | None:
-    """The number of bones that ``--bones`` asks for; None for ``auto`` and for nothing.
-
-    Raises:
-        InputError: neither a whole number above 0 nor ``auto``.
-    """
-    from warpdef.errors import InputError
-
-    if text in ("", "auto"):
-        return None
-    if not text.isdecimal() or int(text) < 1:
-        raise InputError(f"--bones: expected a whole number above 0, or auto, got '{text}'")
-    return int(text)
-
-
-def fit_bones(animation: Animation, bone_count: int | None) -> Rig:
-    """A rig for an animation; its number of bones and its error go to standard error."""
-    from warpdef.rig.decompose import fit_rig
-
-    rig = fit_rig(animation.vertices, bone_count)
-    mean, most = (100.0 * error / rig.extent for error in (rig.mean_error, rig.max_error))
-    say(
-        f"warpdef: rig of {rig.bone_count} bones: the mesh is {mean:.2f} % of its extent away on average, "
-        f"{most:.1f} % at most"
-    )
-    return rig
-
-
-def say_quantised(animation: Animation, precise: bool) -> None:
-    """What morph targets cost: the step of their numbers, and that many frames are better off with a rig."""
-    from warpdef.export.gltf import TARGETS_MANY, quantisation
-
-    if not precise:
-        step = quantisation(animation.vertices)[1]
-        print(f"positions are multiples of {step:.2g} (--precise keeps float32)")
-    if len(animation) > TARGETS_MANY:
-        say(f"warpdef: {len(animation)} frames are as many morph targets; --bones auto writes a rig, small and quick")
 
 
 def report_places(what: str, places: list[Path], started: float) -> None:

@@ -34,7 +34,7 @@ def view(
     compare: Path | None = None,
     side_by_side: Flag = False,
     frames: Slice = "",
-    color: Literal["template", "plain", "error", "stretch", "displacement"] = "template",
+    color: Literal["template", "plain", "error", "stretch", "displacement", "confidence"] = "template",
     cloud: Flag = False,
     trajectories: Flag = False,
     wireframe: Flag = False,
@@ -62,7 +62,7 @@ def view(
         side_by_side: Input, reconstruction and truth in panes of their own with one camera.
         frames: Frames of the result to show, start:stop:step; empty: all.
         color: template: colours that stay with the surface; error: distance to the truth's surface, or else of the
-            input's points; stretch and displacement: against the keyframe.
+            input's points; stretch and displacement: against the keyframe; confidence: how far a place can be trusted.
         cloud: Show the input cloud over the mesh.
         trajectories: Show the ways of some vertices.
         wireframe: Show edges only.

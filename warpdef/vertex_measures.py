@@ -16,16 +16,23 @@ LIMIT_FRAMES = 9
 
 @dataclass(frozen=True)
 class Measure:
-    """A number at every vertex. label: for the colour bar, ``{}`` is the unit; diverging: 0 is in the bar's middle."""
+    """A number at every vertex.
+
+    label:     for the colour bar; ``{}`` is the unit of a length
+    diverging: 0 is in the bar's middle
+    needs:     what has to be known for it besides the mesh
+    """
 
     label: str
     diverging: bool = False
+    needs: str = ""
 
 
 MEASURES = {
-    "error": Measure("distance to surface, {}"),
+    "error": Measure("distance to surface, {}", needs="the clouds or a truth to measure against"),
     "stretch": Measure("edge stretch, l / l_key - 1", diverging=True),
     "displacement": Measure("displacement, {}"),
+    "confidence": Measure("confidence, 0 to 1", needs="a result that knows its confidence"),
 }
 
 
@@ -89,12 +96,14 @@ class VertexMeasures:
     keyframe: frame that lengths and places are compared with
     clouds:   the input, where known            T arrays (N_t, 3)
     truth:    the true surfaces, where known    T meshes
+    confidence: of each vertex, where known     (T, V) uint8, 255 for 1
     """
 
     meshes: MeshSequence
     keyframe: int = 0
     clouds: Sequence[np.ndarray] | None = None
     truth: Sequence[TriMesh] | None = None
+    confidence: np.ndarray | None = None
     _values: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
     _points: dict[int, np.ndarray] = field(default_factory=dict)
     _edges: np.ndarray | None = None
@@ -102,7 +111,8 @@ class VertexMeasures:
     @property
     def measures(self) -> list[str]:
         """The keys of ``MEASURES`` that can be computed from what is known."""
-        return [name for name in MEASURES if name != "error" or self.clouds is not None or self.truth is not None]
+        known = {"error": self.clouds is not None or self.truth is not None, "confidence": self.confidence is not None}
+        return [name for name in MEASURES if known.get(name, True)]
 
     def values(self, name: str, frame: int) -> np.ndarray:
         """One number a vertex, shape (V,) float64, NaN where unknown.
@@ -121,7 +131,9 @@ class VertexMeasures:
         return self._points[frame]
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Ends of the colour bar: the 99th percentile over some frames, and 0 or its negative."""
+        """Ends of the colour bar: the 99th percentile over some frames, and 0 or its negative; confidence: 0 and 1."""
+        if name == "confidence":
+            return 0.0, 1.0
         frames = np.unique(
             np.linspace(0, len(self.meshes) - 1, min(LIMIT_FRAMES, len(self.meshes))).round().astype(int)
         )
@@ -133,13 +145,16 @@ class VertexMeasures:
 
     def forget(self, meshes: MeshSequence) -> None:
         """Take new vertices; nothing computed before is kept."""
-        self.meshes = meshes
+        self.meshes, self.confidence = meshes, None
         self._values.clear()
         self._points.clear()
         self._edges = None
 
     def _compute(self, name: str, frame: int) -> np.ndarray:
         vertices, at_keyframe = self.meshes.vertices[frame], self.meshes.vertices[self.keyframe]
+        if name == "confidence":
+            assert self.confidence is not None
+            return self.confidence[frame] / 255.0
         if name == "displacement":
             return np.linalg.norm(np.subtract(vertices, at_keyframe, dtype=np.float64), axis=1)
         if name == "stretch":

@@ -189,5 +189,6 @@ def _run_pane(path: Path, run, title: str, chosen: list[int], origin: np.ndarray
     meshes = MeshSequence(vertices - origin if origin.any() else vertices, run.meshes.faces)
     # The keyframe may not be among the frames shown; the nearest one takes its part.
     keyframe = int(np.abs(np.array(chosen) - run.keyframe).argmin())
-    colouring = VertexMeasures(meshes, keyframe, points, truth)
+    confidence = None if run.confidence is None else run.confidence[chosen]
+    colouring = VertexMeasures(meshes, keyframe, points, truth, confidence)
     return Pane(title, meshes, points, colors, colouring, keyframe)

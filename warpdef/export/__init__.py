@@ -38,6 +38,7 @@ class Format:
     beside:    what is written next to the file, as a pattern over its stem; files end in a suffix, folders do not
     image:     a texture's image is written next to the file, too
     rigged:    as ``writer``, for a mesh that is moved by a rig, which is its third argument; empty where it holds none
+    measured:  holds a measure at the vertices, as numbers or as colours
     quantised: numbers are whole multiples of a step, unless ``precise=True`` is given to ``writer``
     """
 
@@ -48,6 +49,7 @@ class Format:
     image: bool = False
     rigged: str = ""
     quantised: bool = False
+    measured: bool = False
 
     def places(self, path: Path, texture: Texture | None = None) -> list[Path]:
         """Everything that an export to ``path`` makes."""
@@ -56,7 +58,7 @@ class Format:
         return [path, *(path.with_name(name) for name in names)]
 
 
-_USDZ = Format("usd:write_usd", "Universal Scene Description, time samples; needs the extra [usd]")
+_USDZ = Format("usd:write_usd", "Universal Scene Description, time samples; needs the extra [usd]", measured=True)
 _USD = replace(_USDZ, image=True)
 
 FORMATS = {
@@ -65,6 +67,7 @@ FORMATS = {
         "binary glTF, a morph target a frame, or a rig: web, Blender, game engines",
         rigged="gltf_rig:write_rigged_glb",
         quantised=True,
+        measured=True,
     ),
     "usd": _USD,
     "usda": _USD,
@@ -72,10 +75,10 @@ FORMATS = {
     "usdz": _USDZ,
     "pc2": Format("point_cache:write_pc2", "point cache, with the base mesh as .obj", beside=("{}_pc2.obj",)),
     "mdd": Format("point_cache:write_mdd", "point cache, with the base mesh as .obj", beside=("{}_mdd.obj",)),
-    "pvd": Format("paraview:write_pvd", "ParaView, with a folder of .vtp files", beside=("{}_vtp",)),
+    "pvd": Format("paraview:write_pvd", "ParaView, with a folder of .vtp files", beside=("{}_vtp",), measured=True),
     "obj": Format("mesh_folders:write_obj_folder", "a folder of OBJ files", is_folder=True),
-    "ply": Format("mesh_folders:write_ply_folder", "a folder of binary PLY files", is_folder=True),
-    "npz": Format("archive:write_npz_animation", "NumPy: vertices (T, V, 3), faces, fps, names, up"),
+    "ply": Format("mesh_folders:write_ply_folder", "a folder of binary PLY files", is_folder=True, measured=True),
+    "npz": Format("archive:write_npz_animation", "NumPy: vertices (T, V, 3), faces, fps, names, up", measured=True),
     "anime": Format("anime:write_anime", "DeformingThings4D"),
     "bvh": Format("", "the bones of a rig, as motion capture has them", rigged="bvh:write_bvh"),
 }
@@ -168,7 +171,7 @@ def export(
     form = format_of(path, format, isinstance(animation, MovingPoints))
     texture = animation.texture if isinstance(animation, Animation) else None
     check_place(path, form, overwrite, texture)
-    check_rig(path, form, rig is not None)
+    check_content(path, form, rig is not None, isinstance(animation, Animation) and animation.measured is not None)
     module, function = (form.writer if rig is None else form.rigged).split(":")
     write = getattr(importlib.import_module(f"warpdef.export.{module}"), function)
     extras: dict[str, Any] = {} if rig is None else {"rig": rig}
@@ -188,11 +191,12 @@ def export(
         shutil.rmtree(stage, ignore_errors=True)
 
 
-def check_rig(path: Path | str, form: Format, rigged: bool) -> None:
+def check_content(path: Path | str, form: Format, rigged: bool, measured: bool) -> None:
     """Check that a format can hold what it is to hold.
 
     Args:
         rigged: a mesh moved by bones; else one given frame by frame.
+        measured: a number at every vertex.
 
     Raises:
         InputError: it cannot; the message lists the formats that can.
@@ -200,6 +204,9 @@ def check_rig(path: Path | str, form: Format, rigged: bool) -> None:
     if rigged and not form.rigged:
         known = " or ".join(f".{key}" for key, other in FORMATS.items() if other.rigged)
         raise InputError(f"{path}: expected {known} for a rig, got a format without bones; leave --bones out")
+    if measured and not form.measured:
+        known = " ".join(f".{key}" for key, other in FORMATS.items() if other.measured)
+        raise InputError(f"{path}: expected one of {known} for a measure, got a format without; leave --color out")
     if not rigged and not form.writer:
         raise InputError(f"{path}: expected a rig for a format of bones alone, got none; give --bones auto")
 

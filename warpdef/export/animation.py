@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,12 +11,14 @@ import numpy as np
 
 from warpdef.appearance import Appearance, split_seams
 from warpdef.errors import InputError
+from warpdef.export.measured import VertexValues, measure_vertices
 from warpdef.export.origin import choose_origin
 from warpdef.export.pace import frame_names, pace
 from warpdef.export.vertex_normals import vertex_normals
 from warpdef.files.frame_files import select_frames
 from warpdef.mesh import MeshSequence
 from warpdef.texture import Texture
+from warpdef.vertex_measures import VertexMeasures
 
 FPS = 24.0
 """Frames a second where nothing else is said."""
@@ -41,6 +44,7 @@ class Animation:
     origin:          point that the mesh's positions count from  (3,) float64, input units; chosen if not given: 0, but
                      far from 0, where float32 would lose the shape, a point near the mesh
     texture:         the image on it, where it has uv, or None
+    measured:        a number at every vertex and frame, shown in place of colours and texture, or None
     """
 
     meshes: MeshSequence
@@ -53,6 +57,7 @@ class Animation:
     normals: np.ndarray | None = None
     origin: np.ndarray = cast(np.ndarray, None)  # chosen below if not given
     texture: Texture | None = None
+    measured: VertexValues | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.fps) and self.fps > 0.0):
@@ -77,6 +82,8 @@ class Animation:
         look = Appearance.checked(vertices.shape[1], len(self.meshes.faces), self.colors, self.uv, texture=self.texture)
         object.__setattr__(self, "colors", look.colors)
         object.__setattr__(self, "uv", look.uv)
+        if self.measured is not None and self.measured.values.shape != vertices.shape[:2]:
+            raise InputError(f"measure: expected numbers of {vertices.shape[:2]}, got {self.measured.values.shape}")
         if self.normals is not None:
             normals = np.ascontiguousarray(self.normals, dtype=np.float32)
             if normals.shape != vertices.shape or not np.isfinite(normals).all():
@@ -114,13 +121,19 @@ class Animation:
     @property
     def base_color(self) -> tuple[float, float, float]:
         """The material's colour, linear light; white where colours or a texture are to show through it."""
-        return GREY if self.colors is None and self.uv is None else (1.0, 1.0, 1.0)
+        plain = self.colors is None and self.uv is None and self.measured is None
+        return GREY if plain else (1.0, 1.0, 1.0)
 
     def normals_of(self, frame: int) -> np.ndarray:
         """Unit normals of a frame, those given or those of the faces, shape (V, 3) float32."""
         if self.normals is not None:
             return self.normals[frame]
         return vertex_normals(self.vertices[frame], self.faces)
+
+    @cached_property
+    def moving_colors(self) -> np.ndarray | None:
+        """Colours that change from frame to frame, those of a measure, sRGB: shape (T, V, 3) uint8, or None."""
+        return None if self.measured is None else self.measured.colors()
 
     def all_normals(self) -> np.ndarray:
         """``normals_of`` every frame, shape (T, V, 3) float32."""
@@ -155,15 +168,20 @@ def load_animation(
     metres_per_unit: float = 1.0,
     slow: float = 1.0,
     recorded_fps: float | None = None,
+    measures: VertexMeasures | None = None,
+    color: str = "",
+    unit: str = "input units",
 ) -> Animation:
     """A run folder as an animation, with the colours and the texture of its template where it has them.
 
     Args:
         path: the run folder. frames: frames of it to use. fps, up, metres_per_unit: as the fields of ``Animation``.
         slow, recorded_fps: as in ``pace``.
+        measures: of all frames of the run. color: the one that takes the place of colours and texture; empty: none.
+        unit: what a length of 1 is called.
 
     Raises:
-        InputError: not a run folder, damaged, no frame left, or a number out of range.
+        InputError: not a run folder, damaged, no frame left, a number out of range, or the measure cannot be known.
     """
     from warpdef.files.saved_run import load_run
 
@@ -171,7 +189,10 @@ def load_animation(
     chosen = select_frames(range(len(run.meshes)), frames, 1, run.path)
     times = pace(chosen, fps, slow, recorded_fps)
     how = {"names": frame_names(run.names, times), "fps": fps, "up": up, "metres_per_unit": metres_per_unit}
-    return dress(run.at(times), run.faces, run.appearance, **how)
+    if measures is None or not color:
+        return dress(run.at(times), run.faces, run.appearance, **how)
+    measured = measure_vertices(measures, color, times, unit)
+    return Animation(MeshSequence(run.at(times), run.faces), measured=measured, **how)
 
 
 def linear_colors(colors: np.ndarray) -> np.ndarray:

@@ -16,5 +16,7 @@ def write_npz_animation(animation: Animation, path: Path) -> None:
     arrays["metres_per_unit"] = np.float64(animation.metres_per_unit)
     optional = {"vertex_colors": animation.colors, "uv": animation.uv, "normals": animation.normals}
     arrays |= {name: array for name, array in optional.items() if array is not None}
+    if animation.measured is not None:
+        arrays[animation.measured.name] = animation.measured.values
     with open(path, "wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)

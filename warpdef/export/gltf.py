@@ -3,7 +3,8 @@
 The first frame is the base mesh; frame t is the base plus target t - 1 at weight 1. By default numbers are quantised
 (KHR_mesh_quantization): positions as 16-bit multiples of one step, of which every frame is the nearest, so that no
 error adds up; normals as bytes, or as 16 bits in frames that turn some of them nearly about. The node carries the way
-back to the data's own numbers.
+back to the data's own numbers. A measure's colours change by targets, too; programs that know none of colours, Blender
+among them, show those of the first frame.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from warpdef.export.animation import Animation
+from warpdef.export.animation import Animation, linear_colors
 from warpdef.export.gltf_buffer import VERTICES, Buffer
-from warpdef.export.gltf_parts import add_look, add_material, place_node, start_document
+from warpdef.export.gltf_parts import add_colors, add_look, add_material, place_node, start_document
 
 TARGETS_MANY = 100
 """Frames beyond which a rig serves better: programs hold every target at once, and some stop at 256."""
@@ -45,6 +46,9 @@ def write_glb(animation: Animation, path: Path, precise: bool = False) -> None:
         "NORMAL": buffer.add(base_normals, target=VERTICES, normalized=not precise),
         **add_look(animation, buffer),
     }
+    colors = animation.moving_colors
+    if colors is not None:
+        attributes["COLOR_0"] = add_colors(colors[0], buffer)
     primitive: dict[str, Any] = {
         "attributes": attributes,
         "indices": buffer.add_triangles(animation.faces, count),
@@ -59,12 +63,17 @@ def write_glb(animation: Animation, path: Path, precise: bool = False) -> None:
         for frame, offset in enumerate(positions, 1):
             turn = animation.normals_of(frame)
             turn = turn - base_normals if precise else normal_offsets(base_normals, turn)
-            primitive["targets"].append(
-                {
-                    "POSITION": buffer.add(offset, bounds=True, target=VERTICES, normalized=not precise),
-                    "NORMAL": buffer.add(turn, target=VERTICES, normalized=not precise),
-                }
-            )
+            target = {
+                "POSITION": buffer.add(offset, bounds=True, target=VERTICES, normalized=not precise),
+                "NORMAL": buffer.add(turn, target=VERTICES, normalized=not precise),
+            }
+            if colors is not None:
+                change = np.zeros((count, 4), dtype=np.float32)
+                change[:, :3] = linear_colors(colors[frame]) - linear_colors(colors[0])
+                if not precise:
+                    change = np.rint(change * _STEPS).astype(np.int16)
+                target["COLOR_0"] = buffer.add(change, target=VERTICES, normalized=not precise)
+            primitive["targets"].append(target)
         mesh["weights"] = [0.0] * len(primitive["targets"])
         mesh["extras"] = {"targetNames": list(animation.names[1:])}
         document["animations"] = [_play(animation, buffer)]

@@ -48,13 +48,18 @@ def add_look(animation: Animation, buffer: Buffer) -> dict[str, int]:
         upper_left = (animation.uv * [1.0, -1.0] + [0.0, 1.0]).astype(np.float32)
         attributes["TEXCOORD_0"] = buffer.add(upper_left, target=VERTICES)
     if animation.colors is not None:
-        light = np.ones((animation.vertices.shape[1], 4))
-        light[:, : animation.colors.shape[1]] = linear_colors(animation.colors)
-        # 16 bits hold every 8-bit sRGB value apart, and four components keep rows aligned.
         # Shown, they would darken the image: where there is one they are kept under a name of their own.
         name = "COLOR_0" if animation.texture is None else "_COLOR_0"
-        attributes[name] = buffer.add(np.rint(light * 65535).astype(np.uint16), target=VERTICES, normalized=True)
+        attributes[name] = add_colors(animation.colors, buffer)
     return attributes
+
+
+def add_colors(colors: np.ndarray, buffer: Buffer) -> int:
+    """Append sRGB colours (V, 3) or (V, 4) uint8 as linear light, and return the index of their accessor."""
+    light = np.ones((len(colors), 4))
+    light[:, : colors.shape[1]] = linear_colors(colors)
+    # 16 bits hold every 8-bit sRGB value apart, and four components keep rows aligned.
+    return buffer.add(np.rint(light * 65535).astype(np.uint16), target=VERTICES, normalized=True)
 
 
 def add_material(animation: Animation, buffer: Buffer, document: dict[str, Any]) -> None:

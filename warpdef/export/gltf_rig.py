@@ -14,7 +14,7 @@ import numpy as np
 
 from warpdef.export.animation import Animation
 from warpdef.export.gltf_buffer import VERTICES, Buffer
-from warpdef.export.gltf_parts import add_look, add_material, place_node, start_document
+from warpdef.export.gltf_parts import add_colors, add_look, add_material, place_node, start_document
 from warpdef.export.vertex_normals import vertex_normals
 from warpdef.rig.decompose import Rig
 from warpdef.rig.skeleton import Skeleton, build_skeleton
@@ -63,6 +63,10 @@ def _skinned_mesh(animation: Animation, rig: Rig, skeleton: Skeleton, buffer: Bu
         "WEIGHTS_0": buffer.add(weights, target=VERTICES, normalized=True),
         **add_look(animation, buffer),
     }
+    if animation.measured is not None:
+        # A rig moves no colours: the mean over the frames.
+        mean = animation.measured.over_time()
+        attributes["COLOR_0"] = add_colors(mean.colors()[0], buffer)
     return {"attributes": attributes, "indices": buffer.add_triangles(animation.faces, count), "material": 0}
 
 

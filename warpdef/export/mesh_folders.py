@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +19,18 @@ def write_ply_folder(animation: Animation, folder: Path) -> None:
 
     Normals are in every file: programs shade a PLY with them smoothly, and one without them in facets. Positions are
     ``double`` where ``float`` would lose the shape, far from the origin. A texture's image lies in the folder, named by
-    a ``comment TextureFile``.
+    a ``comment TextureFile``. A measure is a property called after it; a comment says what it is and in which unit.
     """
     faces = np.empty(len(animation.faces), dtype=[("length", "u1"), ("indices", "<i4", (3,))])
     faces["length"], faces["indices"] = 3, animation.faces
     texture = animation.texture
     comments = () if texture is None else (f"TextureFile {image_name(texture)}",)
-    write_ply_frames(folder, animation.places, animation.all_normals(), animation.colors, animation.uv, faces, comments)
+    numbers = {}
+    if animation.measured is not None:
+        numbers = {animation.measured.name: animation.measured.values}
+        comments += (f"{animation.measured.name}: {animation.measured.what}",)
+    normals = animation.all_normals()
+    write_ply_frames(folder, animation.places, normals, animation.colors, animation.uv, faces, comments, numbers)
     if texture is not None:
         (folder / image_name(texture)).write_bytes(texture.data)
 
@@ -37,6 +43,7 @@ def write_ply_frames(
     uv: np.ndarray | None = None,
     faces: np.ndarray | None = None,
     comments: tuple[str, ...] = (),
+    numbers: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Make ``folder`` with a binary PLY for each of T frames.
 
@@ -44,6 +51,7 @@ def write_ply_frames(
         points: shape (T, N, 3), float32 or float64, and so in the file. normals: shape (T, N, 3).
         colors: shape (N, 3) or (N, 4) uint8. uv: shape (N, 2).
         faces: rows of the face element as they stand in the file. comments: lines of the header.
+        numbers: further properties by name, each (T, N).
     """
     folder.mkdir()
     fields = [(axis, "<f8" if points.dtype == np.float64 else "<f4") for axis in "xyz"]
@@ -51,6 +59,7 @@ def write_ply_frames(
     shades = () if colors is None else ("red", "green", "blue", "alpha")[: colors.shape[1]]
     fields += [(name, "u1") for name in shades]
     fields += [] if uv is None else [("s", "<f4"), ("t", "<f4")]
+    fields += [(name, "<f4") for name in numbers or ()]
     rows = np.zeros(points.shape[1], dtype=fields)
     if colors is not None:
         for column, name in enumerate(shades):
@@ -68,6 +77,8 @@ def write_ply_frames(
         rows["x"], rows["y"], rows["z"] = positions.T
         if normals is not None:
             rows["nx"], rows["ny"], rows["nz"] = normals[frame].T
+        for name, values in (numbers or {}).items():
+            rows[name] = values[frame]
         end = b"" if faces is None else faces.tobytes()
         (folder / f"{frame:04d}.ply").write_bytes("\n".join(header).encode() + rows.tobytes() + end)
 

@@ -14,6 +14,8 @@ from warpdef.export.animation import Animation
 def write_pvd(animation: Animation, path: Path) -> None:
     """Write ``path`` and ``<stem>_vtp/0000.vtp``, ...; times are seconds.
 
+    A measure is an array called after it and its unit.
+
     Raises:
         MissingPackageError: PyVista cannot be imported.
     """
@@ -36,6 +38,9 @@ def write_pvd(animation: Animation, path: Path) -> None:
         mesh.points = np.array(positions)
         mesh.point_data["Normals"] = animation.normals_of(frame)
         mesh.point_data.active_normals_name = "Normals"
+        if animation.measured is not None:
+            mesh.point_data[animation.measured.title] = animation.measured.values[frame]
+            mesh.point_data.active_scalars_name = animation.measured.title
         mesh.save(folder / f"{frame:04d}.vtp", binary=True)
         file = quoteattr(f"{folder.name}/{frame:04d}.vtp")
         lines.append(f'    <DataSet timestep="{frame / animation.fps:.9g}" part="0" file={file}/>')

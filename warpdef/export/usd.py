@@ -17,8 +17,8 @@ def write_usd(animation: Animation, path: Path) -> None:
     """Write .usd, .usda, .usdc or .usdz by the suffix of ``path``.
 
     Time codes are frame numbers from 0. Triangles are shaded smoothly by the normals of every frame. Colours go to
-    ``displayColor`` (linear), which the material reads, and ``displayOpacity``; texture coordinates to
-    ``primvars:st``. Data far from its origin stands there by a translation of the parent. A texture's
+    ``displayColor`` (linear), which the material reads, and ``displayOpacity``; a measure's are time samples. Texture
+    coordinates go to ``primvars:st``. Data far from its origin stands there by a translation of the parent. A texture's
     image is a file beside it, ``walk_usdc_warpdef_texture.png``; a .usdz holds it itself.
 
     Raises:
@@ -77,8 +77,14 @@ def _fill(stage: Any, animation: Animation) -> None:
     points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
     normals = mesh.CreateNormalsAttr()
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    moving = None
+    if animation.moving_colors is not None:
+        moving = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
     for frame, positions in enumerate(animation.vertices):
         points.Set(Vt.Vec3fArray.FromNumpy(positions), frame)
+        if moving is not None:
+            shade = linear_colors(animation.moving_colors[frame]).astype(np.float32)
+            moving.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(shade)), frame)
         normals.Set(Vt.Vec3fArray.FromNumpy(animation.normals_of(frame)), frame)
         corners = [Gf.Vec3f(*map(float, corner)) for corner in (positions.min(axis=0), positions.max(axis=0))]
         extent.Set(Vt.Vec3fArray(corners), frame)

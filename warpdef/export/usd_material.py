@@ -25,7 +25,7 @@ def bind_material(stage: Any, animation: Animation, image: str | None) -> None:
     color = surface.CreateInput("diffuseColor", types.Color3f)
     if image is not None:
         color.ConnectToSource(_image_reader(shaders, image))
-    elif animation.colors is not None:
+    elif animation.colors is not None or animation.measured is not None:
         reader = shaders.define("colors", "UsdPrimvarReader_float3")
         reader.CreateInput("varname", types.String).Set("displayColor")
         color.ConnectToSource(reader.CreateOutput("result", types.Float3))

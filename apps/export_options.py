@@ -1,0 +1,88 @@
+"""What ``warpdef export`` does beyond writing frames: a rig, a measure, and the lines that say what they cost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from warpdef.apps.console import say
+from warpdef.errors import InputError
+
+if TYPE_CHECKING:
+    from warpdef.export.animation import Animation
+    from warpdef.rig.decompose import Rig
+    from warpdef.vertex_measures import VertexMeasures
+
+_UNITS = {0.001: "mm", 0.01: "cm", 0.1: "dm", 1000.0: "km", 0.0254: "inches", 0.3048: "feet"}
+
+
+def parse_bones(text: str) -> int | None:
+    """The number of bones that ``--bones`` asks for; None for ``auto`` and for nothing.
+
+    Raises:
+        InputError: neither a whole number above 0 nor ``auto``.
+    """
+    if text in ("", "auto"):
+        return None
+    if not text.isdecimal() or int(text) < 1:
+        raise InputError(f"--bones: expected a whole number above 0, or auto, got '{text}'")
+    return int(text)
+
+
+def fit_bones(animation: Animation, bone_count: int | None) -> Rig:
+    """A rig for an animation; its number of bones and its error go to standard error."""
+    from warpdef.rig.decompose import fit_rig
+
+    rig = fit_rig(animation.vertices, bone_count)
+    mean, most = (100.0 * error / rig.extent for error in (rig.mean_error, rig.max_error))
+    say(
+        f"warpdef: rig of {rig.bone_count} bones: the mesh is {mean:.2f} % of its extent away on average, "
+        f"{most:.1f} % at most"
+    )
+    return rig
+
+
+def say_quantised(animation: Animation, precise: bool) -> None:
+    """What morph targets cost: the step of their numbers, and that many frames are better off with a rig."""
+    from warpdef.export.gltf import TARGETS_MANY, quantisation
+
+    if not precise:
+        step = quantisation(animation.vertices)[1]
+        print(f"positions are multiples of {step:.2g} (--precise keeps float32)")
+    if len(animation) > TARGETS_MANY:
+        say(f"warpdef: {len(animation)} frames are as many morph targets; --bones auto writes a rig, small and quick")
+
+
+def load_measures(output: Path, clouds: Path | None, truth: Path | None, truth_frames: slice | None) -> VertexMeasures:
+    """What can be measured at the vertices of a run, of all its frames.
+
+    Args:
+        clouds: its input; None: clouds.npz in the run folder, where there is one. truth: true meshes; the same.
+        truth_frames: the truth's frames that the run was made from.
+
+    Raises:
+        InputError: something is missing or damaged, or numbers of frames do not fit.
+    """
+    from warpdef.apps.viewer.content import load_content
+
+    measures = load_content(output, clouds=clouds, truth=truth, truth_frames=truth_frames).panes[0].colouring
+    assert measures is not None
+    return measures
+
+
+def unit_name(metres_per_unit: float) -> str:
+    """What a length of 1 is called, as far as that is known: 1 is also what stands where nothing was said."""
+    return _UNITS.get(metres_per_unit, "input units")
+
+
+def say_measure(animation: Animation, suffix: str, rigged: bool) -> None:
+    """What the colours stand for, and where a format shows them once only."""
+    measured = animation.measured
+    if measured is None:
+        return
+    low, high = measured.limits
+    print(f"{measured.what}: colours from {low:.3g} to {high:.3g}")
+    if rigged:
+        say("warpdef: a rig moves no colours: those of the mean over the frames are in the file")
+    elif suffix == "glb":
+        say("warpdef: the colours of a .glb change in web viewers; Blender shows the first frame's, but all of a .usdc")
