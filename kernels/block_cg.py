@@ -15,6 +15,7 @@ from warpdef.kernels.cg_kernels import ratio
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.sizes import sizes
+from warpdef.kernels.ways import Way, way_of
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -270,7 +271,7 @@ class BlockSolver:
         self._r, self._p, self._ap = (wp.zeros(shape, dtype=wp.vec3, device=device) for _ in range(3))
         self.iterations = wp.zeros(frame_count, dtype=wp.int32, device=device)
         self.residual = wp.zeros(frame_count, dtype=wp.float32, device=device)
-        self._stepwise = not device.is_cpu if stepwise is None else stepwise
+        self._stepwise = way_of(device) is Way.WHOLE if stepwise is None else stepwise
         steps = iterations_max + 1 if self._stepwise else 1
         self._sums = wp.zeros((steps, frame_count), dtype=wp.vec3, device=device)
 

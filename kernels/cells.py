@@ -15,12 +15,13 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.sizes import require, sizes
+from warpdef.kernels.ways import Way, way_of
 
 wp.set_module_options(MODULE_OPTIONS)
 
 # A surface fills few of a box's cells: some six points in each of those on the CPU, which searches for many queries at
 # once, and three on CUDA, where every query searches on its own.
-_CELLS_PER_POINT = {"cpu": 3.0, "cuda": 8.0}
+_CELLS_PER_POINT = {Way.SPANS: 3.0, Way.WHOLE: 8.0}
 _CELLS_MAX = 2**18
 
 
@@ -272,7 +273,8 @@ class PointGrid:
         if box is None:
             finite = points.numpy()[np.isfinite(points.numpy()).all(axis=1)].astype(float)
             box = np.stack([finite.min(axis=0), finite.max(axis=0)]) if len(finite) else np.zeros((2, 3))
-        per_point = _CELLS_PER_POINT["cpu" if device.is_cpu else "cuda"]
+        self._way = way_of(device)
+        per_point = _CELLS_PER_POINT[self._way]
         self.cells = fit_cells(box[0], box[1], per_point * int(np.max(sizes)))
         cell_count = self.cells.nx * self.cells.ny * self.cells.nz
         self.odometer = wp.zeros(len(sizes), dtype=wp.float64, device=device)
@@ -296,7 +298,7 @@ class PointGrid:
         On CUDA all groups are always sorted: spans are a matter of CPU threads.
         """
         device = self.points.device
-        if not device.is_cpu:
+        if self._way is Way.WHOLE:
             self.build_in_parallel()
             return
         count = (len(self.offset) - 1 if last is None else last) - first

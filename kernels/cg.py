@@ -17,6 +17,7 @@ from warpdef.kernels.cg_kernels import kernels_for
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.launching import launch
 from warpdef.kernels.levels import node8
+from warpdef.kernels.ways import Way, way_of
 
 _KERNELS = {wp.vec3: kernels_for(wp.vec3), node8: kernels_for(node8)}
 
@@ -52,7 +53,7 @@ class ConjugateGradients:
         self._x, self._r, self._p, self._ap = (wp.zeros(nodes, dtype=dtype, device=device) for _ in range(4))
         self.iterations = wp.zeros(systems, dtype=wp.int32, device=device)
         self.residual = wp.zeros(systems, dtype=wp.float32, device=device)
-        self._stepwise = not device.is_cpu if stepwise is None else stepwise
+        self._stepwise = way_of(device) is Way.WHOLE if stepwise is None else stepwise
         steps = self._iterations_max if self._stepwise else 0
         self._b_sq = wp.zeros(systems, dtype=dtype, device=device)
         self._r_sq = wp.zeros((steps + 1, systems), dtype=dtype, device=device)

@@ -87,21 +87,18 @@ def _moving_to_fixed(
     mutual_reach: wp.array[wp.float32],
     # Out, added to:
     loss_out: wp.array[wp.float64],
-    # Out:
     adj_moving_out: wp.array[wp.vec3],
 ):
-    """One thread a moving point; its gradient is written, not added."""
+    """One thread a moving point."""
     i = begin + wp.tid()
     j = nearest[i]
-    adj = wp.vec3(0.0, 0.0, 0.0)
     if j >= 0:
         s = slot[i]
         r = moving[i] - fixed[j]
         w = robust_weight(wp.length_sq(r), alpha, power) * share[s]
         w *= mutual_weight(moving, i, back, j, mutual_reach, s)
         wp.atomic_add(loss_out, s, wp.float64(w * residual_energy(r, normals[j], tangential)))
-        adj = adj_residual_energy(r, normals[j], tangential, w * weight[s])
-    adj_moving_out[i] = adj
+        adj_moving_out[i] = adj_moving_out[i] + adj_residual_energy(r, normals[j], tangential, w * weight[s])
 
 
 @sizes(
@@ -152,7 +149,7 @@ def moving_to_fixed(
     """First half of CD_R, from every moving point to its nearest fixed one.
 
     Args:
-        moving, adj_moving_out: shape (A,) vec3, cube units; the gradient is overwritten.
+        moving, adj_moving_out: shape (A,) vec3, cube units; the gradient is added to.
         slot: shape (A,) int32, which pair of sets a point belongs to. nearest: shape (A,) int32, -1 for none.
         fixed, normals: shape (B,) vec3.
         share: shape (slots,) float32, 1 for a sum over points, 1/|A| for a mean; part of the loss.

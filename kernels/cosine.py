@@ -16,6 +16,7 @@ import warp as wp
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.levels import LevelTable, node8
 from warpdef.kernels.sizes import require_span, sizes
+from warpdef.kernels.ways import Way, way_of
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -270,7 +271,8 @@ class CosineSolver:
         self._tables = [*upload([cosine_matrix(n) for n in resolution]), *eigenvalues]
         # The CPU solves in place.
         shape = (transition_count, levels.node_count)
-        self._scratch = None if device.is_cpu else wp.zeros(shape, dtype=node8, device=device)
+        self._way = way_of(device)
+        self._scratch = wp.zeros(shape, dtype=node8, device=device) if self._way is Way.WHOLE else None
 
     def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None:
         """Solve for transitions ``first .. last`` (last excluded); on CUDA for all of them.
@@ -279,7 +281,7 @@ class CosineSolver:
             rhs, solution_out: shape (S, M) node8, not the same array.
         """
         require_span("transitions", first, last - first, len(rhs))
-        if self._device.is_cpu:
+        if self._way is Way.SPANS:
             inputs = [first, self._levels, self._lambdas, *self._halves, rhs, solution_out]
             launch(_solve_levels, (last - first) * len(self._lambdas), inputs, self._device)
             return

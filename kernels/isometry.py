@@ -111,7 +111,7 @@ _VERTEX = """
         for (int l = 0; l < FRAMES && begin + l < frames; ++l) {
             const int t = begin + l;
             wp::vec3& adj = adj_vertices.data[(size_t)t * vertices + i];
-            adj[0] = gx[l + 1]; adj[1] = gy[l + 1]; adj[2] = gz[l + 1];
+            adj[0] += gx[l + 1]; adj[1] += gy[l + 1]; adj[2] += gz[l + 1];
             loss.data[(size_t)part * frames + t] += (double)(share * sum[l + 1]);
         }
     }
@@ -146,7 +146,6 @@ def _isometry_of_vertices(
     part: int,
     # Out, added to:
     loss_out: wp.array2d[wp.float64],
-    # Out:
     adj_vertices_out: wp.array2d[wp.vec3],
 ):
     """CPU: one thread a vertex, all frames."""
@@ -187,7 +186,7 @@ def isometry_of_vertices(
     Args:
         paths: see ``lay_paths``; of all vertices. row, column: neighbours, as in ``Graph``.
         part: row of ``loss_out`` that belongs to this task. An edge counts where its lower vertex does.
-        loss_out: shape (parts, T) float64, added to. adj_vertices_out: shape (T, V) vec3, overwritten.
+        loss_out: shape (parts, T) float64. adj_vertices_out: shape (T, V) vec3. Both are added to.
     """
     inputs = [begin, paths, row, column, share, weight, part, loss_out, adj_vertices_out]
     launch(_isometry_of_vertices, count, inputs, adj_vertices_out.device)

@@ -110,8 +110,8 @@ def _move_vertices(
 
 
 @sizes(
-    "threads: V; transition: <S; source target: <T; carry_target carry_source: <T+1; vertices adj_chamfer "
-    "adj_isometry: T V; rotation jacobian adj_motion_out: S V; confidence: T; carry: T+1 V"
+    "threads: V; transition: <S; source target: <T; carry_target carry_source: <T+1; vertices adj_weighed "
+    "adj_plain: T V; rotation jacobian adj_motion_out: S V; confidence: T; carry: T+1 V"
 )
 @wp.kernel
 def _adj_move_vertices(
@@ -126,8 +126,8 @@ def _adj_move_vertices(
     rotation: wp.array2d[wp.vec3],
     jacobian: wp.array2d[wp.mat33],
     confidence: wp.array[wp.float32],
-    adj_chamfer: wp.array2d[wp.vec3],
-    adj_isometry: wp.array2d[wp.vec3],
+    adj_weighed: wp.array2d[wp.vec3],
+    adj_plain: wp.array2d[wp.vec3],
     # In and out: row carry_target is read, row carry_source written
     carry: wp.array2d[wp.vec3],
     # Out:
@@ -135,7 +135,7 @@ def _adj_move_vertices(
 ):
     """One thread a vertex, one step back: what frame target wants, plus what frames beyond it want."""
     i = begin + wp.tid()
-    a = confidence[target] * adj_chamfer[target, i] + adj_isometry[target, i] + carry[carry_target, i]
+    a = confidence[target] * adj_weighed[target, i] + adj_plain[target, i] + carry[carry_target, i]
     adj_motion_out[transition, i] = motion_gradient(rotation[transition, i], vertices[source, i], a)
     carry[carry_source, i] = jacobian[transition, i] * a
 
@@ -203,20 +203,20 @@ def move_vertices(
 
 def adj_move_vertices(
     begin: int, count: int, transition: int, source: int, target: int, carry_target: int, carry_source: int,
-    vertices: wp.array, rotation: wp.array, jacobian: wp.array, confidence: wp.array, adj_chamfer: wp.array,
-    adj_isometry: wp.array, carry: wp.array, adj_motion_out: wp.array,
+    vertices: wp.array, rotation: wp.array, jacobian: wp.array, confidence: wp.array, adj_weighed: wp.array,
+    adj_plain: wp.array, carry: wp.array, adj_motion_out: wp.array,
 ) -> None:  # fmt: skip
     """Adjoint of ``move_vertices``: six-vector gradients of one step, and the gradient carried to frame ``source``.
 
     Args:
         carry: shape (T + 1, V) vec3; the row of a chain's last frame is 0. The extra row takes the backward chain's
             gradient at the keyframe, which two chains reach.
-        confidence: shape (T,) float32, the weight of a frame's Chamfer gradient.
-        adj_chamfer, adj_isometry: shape (T, V) vec3. adj_motion_out: shape (S, V) node8.
+        confidence: shape (T,) float32, weights of the frames in ``adj_weighed``.
+        adj_weighed, adj_plain: shape (T, V) vec3, sums of the terms' gradients. adj_motion_out: shape (S, V) node8.
     """
     inputs = [
         begin, transition, source, target, carry_target, carry_source,
-        vertices, rotation, jacobian, confidence, adj_chamfer, adj_isometry, carry, adj_motion_out,
+        vertices, rotation, jacobian, confidence, adj_weighed, adj_plain, carry, adj_motion_out,
     ]  # fmt: skip
     launch(_adj_move_vertices, count, inputs, vertices.device)
 
@@ -230,35 +230,36 @@ def scatter_vertices(
     launch(_scatter_vertices, count, inputs, adj_nodes_out.device)
 
 
-@sizes("threads adj_template_out: V; keyframe: <T; adj_chamfer adj_isometry: T V; carry: T+1 V")
+@sizes("threads adj_template_out: V; keyframe: <T; adj_weighed adj_plain: T V; carry: T+1 V")
 @wp.kernel
 def _template_gradient(
     # In:
     keyframe: int,
     follow: int,
-    adj_chamfer: wp.array2d[wp.vec3],
-    adj_isometry: wp.array2d[wp.vec3],
+    adj_weighed: wp.array2d[wp.vec3],
+    adj_plain: wp.array2d[wp.vec3],
     carry: wp.array2d[wp.vec3],
     # Out:
     adj_template_out: wp.array[wp.vec3],
 ):
     """One thread a vertex."""
     i = wp.tid()
-    a = adj_chamfer[keyframe, i]
+    a = adj_weighed[keyframe, i]
     if follow != 0:
-        a = a + adj_isometry[keyframe, i] + carry[keyframe, i] + carry[carry.shape[0] - 1, i]
+        a = a + adj_plain[keyframe, i] + carry[keyframe, i] + carry[carry.shape[0] - 1, i]
     adj_template_out[i] = a
 
 
 def template_gradient(
-    keyframe: int, follow: bool, adj_chamfer: wp.array, adj_isometry: wp.array, carry: wp.array,
+    keyframe: int, follow: bool, adj_weighed: wp.array, adj_plain: wp.array, carry: wp.array,
     adj_template_out: wp.array,
 ) -> None:  # fmt: skip
-    """Gradient of the template: the mesh term alone, or with ``follow`` everything that reaches the keyframe.
+    """Gradient of the template: the weighed terms at the keyframe, or with ``follow`` all that reaches it.
 
     Args:
-        adj_chamfer, adj_isometry: shape (T, V) vec3. carry: shape (T + 1, V) vec3, see ``adj_move_vertices``.
+        adj_weighed, adj_plain: shape (T, V) vec3, sums of the terms' gradients; the first of the mesh term at least.
+        carry: shape (T + 1, V) vec3, see ``adj_move_vertices``.
         adj_template_out: shape (V,) vec3.
     """
-    inputs = [keyframe, int(follow), adj_chamfer, adj_isometry, carry, adj_template_out]
+    inputs = [keyframe, int(follow), adj_weighed, adj_plain, carry, adj_template_out]
     launch(_template_gradient, len(adj_template_out), inputs, adj_template_out.device)

@@ -17,6 +17,7 @@ from warpdef.kernels.cells import Cells, PointGrid, first_candidate
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.packets import QUERIES_PER_THREAD, nearest_in_packets
 from warpdef.kernels.sizes import require, require_span, sizes
+from warpdef.kernels.ways import Way, way_of
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -175,7 +176,7 @@ class NearestSearch:
         device, count = queries.device, len(queries)
         self.index = wp.full(count, -1, dtype=wp.int32, device=device)
         self._grid, self._queries, self._group = grid, queries, query_group
-        self._in_packets = device.is_cpu and not one_by_one
+        self._in_packets = way_of(device) is Way.SPANS and not one_by_one
         self._margin = (_MARGIN_OF_PACKETS if self._in_packets else _MARGIN_IN_CELLS) * grid.cells.size
         self._anchor = wp.zeros(count, dtype=wp.vec3, device=device)
         self._bound = wp.zeros(count, dtype=wp.float32, device=device)

@@ -33,6 +33,19 @@ def _clear_rows(
     array_out[begin + wp.tid()] = wp.vec3(0.0, 0.0, 0.0)
 
 
+@sizes("threads: V; array_out: T V")
+@wp.kernel
+def _clear_columns(
+    # In:
+    begin: int,
+    # Out:
+    array_out: wp.array2d[wp.vec3],
+):
+    i = begin + wp.tid()
+    for t in range(array_out.shape[0]):
+        array_out[t, i] = wp.vec3(0.0, 0.0, 0.0)
+
+
 @sizes("threads source target_out: N")
 @wp.kernel
 def _copy(
@@ -91,6 +104,11 @@ def clear_losses(begin: int, count: int, array: wp.array) -> None:
 def clear_vectors(begin: int, count: int, array: wp.array) -> None:
     """Zero a span of a vec3 array."""
     launch(_clear_rows, count, [begin, array], array.device)
+
+
+def clear_columns(begin: int, count: int, array: wp.array) -> None:
+    """Zero columns of a two-dimensional vec3 array, in all rows."""
+    launch(_clear_columns, count, [begin, array], array.device)
 
 
 def copy_vectors(source: int, target_out: wp.array) -> None:

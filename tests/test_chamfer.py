@@ -31,8 +31,10 @@ class Meeting:
 
         self.reach: np.ndarray | None = None  # of every slot, where pairs count by the way back
 
-    def run(self, power: int, tangential: float, alpha: float = ALPHA) -> tuple[np.ndarray, np.ndarray]:
-        """Losses of the slots (3,) and the gradient (40, 3); what stood in them before is 7 and 9."""
+    def run(
+        self, power: int, tangential: float, alpha: float = ALPHA, before: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Losses of the slots (3,), added to 7, and the gradient (40, 3), added to ``before``."""
         d = self.device
         moving, fixed, normals = (
             wp.array(a.astype(np.float32), dtype=wp.vec3, device=d) for a in (self.moving, self.fixed, self.normals)
@@ -43,7 +45,7 @@ class Meeting:
         )
         share, weight = (wp.array(a.astype(np.float32), dtype=wp.float32, device=d) for a in (self.share, self.weight))
         loss = wp.full(3, 7.0, dtype=wp.float64, device=d)
-        adj = wp.full(40, wp.vec3(9.0, 9.0, 9.0), dtype=wp.vec3, device=d)
+        adj = wp.full(40, wp.vec3(before, before, before), dtype=wp.vec3, device=d)
         results = (share, weight, (alpha, power, tangential), loss, adj)
         sides = [(), ()]
         if self.reach is not None:
@@ -216,12 +218,19 @@ def test_power_four_is_the_fourth_power_of_the_distance(device: str, rng: np.ran
         assert meeting.run(power, 1.0)[0][0] == pytest.approx(0.25 * np.exp(-ALPHA * 0.5**power), rel=1e-5)
 
 
+def test_gradients_are_added_to_what_there_is(device: str, rng: np.random.Generator) -> None:
+    meeting = Meeting(device, rng)
+    adj, onto = (meeting.run(2, 0.1, before=before)[1] for before in (0.0, 0.25))
+    np.testing.assert_allclose(onto, adj + 0.25, rtol=0, atol=4 * np.spacing(np.float32(np.abs(onto).max())))
+    assert np.abs(adj).min(axis=1).max() > 0.01
+
+
 def test_coincident_points_and_no_neighbours(device: str, rng: np.random.Generator) -> None:
     meeting = Meeting(device, rng)
     meeting.forth[:] = meeting.back[:] = -1
     loss, adj = meeting.run(2, 0.1)
     np.testing.assert_array_equal(loss, 0)
-    np.testing.assert_array_equal(adj, 0)  # overwritten, not added to
+    np.testing.assert_array_equal(adj, 0)
     meeting.moving[:], meeting.fixed[:], meeting.forth[:], meeting.back[:] = 0.25, 0.25, 5, 6
     loss, adj = meeting.run(4, 0.1)
     np.testing.assert_array_equal(loss, 0)

@@ -26,17 +26,24 @@ def _both_ways(request: pytest.FixtureRequest, device: str, monkeypatch: pytest.
     monkeypatch.setitem(by_vertex, "on", wanted)
 
 
-def run(vertices: np.ndarray, edges: np.ndarray, device: str, share: float = 1.0, weight: float = 1.0, split: int = 7):
-    """Losses (T,) and gradient (T, V, 3), in two spans."""
+def run(
+    vertices: np.ndarray,
+    edges: np.ndarray,
+    device: str,
+    share: float = 1.0,
+    weight: float = 1.0,
+    split: int = 7,
+    before: float = 0.0,
+):
+    """Losses (T,) and gradient (T, V, 3), in two spans; ``before`` is what stood in the gradient."""
     frames, count = vertices.shape[:2]
     moving = wp.array(vertices.astype(np.float32), dtype=wp.vec3, ndim=2, device=device)
-    adj = wp.zeros((frames, count), dtype=wp.vec3, device=device)
+    adj = wp.full((frames, count), wp.vec3(before, before, before), dtype=wp.vec3, device=device)
     if by_vertex["on"]:
         graph = mesh_graph(edges, count, 1.0)
         row, column = (wp.array(a, dtype=wp.int32, device=device) for a in (graph.row, graph.column))
         paths = wp.full((count, 3, path_width(frames)), np.nan, dtype=wp.float32, device=device)
         loss = wp.zeros((2, frames), dtype=wp.float64, device=device)
-        adj.fill_(wp.vec3(7.0, 7.0, 7.0))  # overwritten
         split = min(split, count - 1)
         spans = [(0, 0, split), (1, split, count - split)]
         for _, begin, size in spans:
@@ -93,6 +100,14 @@ def test_gradient_matches_autodiff(device: str, rng: np.random.Generator) -> Non
         wp.launch(witness.edge_changes, (3, len(edges)), inputs=[moving, pairs, 1.0, loss], device=device)
     tape.backward(loss)
     assert_gradients_close(run(vertices, edges, device)[1], moving.grad.numpy())
+
+
+def test_gradients_are_added_to_what_there_is(device: str, rng: np.random.Generator) -> None:
+    vertices, edges = stretched(rng, 16)
+    adj, onto = (run(vertices, edges, device, before=before)[1] for before in (0.0, 4.0))
+    # Six edges meet at a vertex, and each may be added to the sum by itself.
+    np.testing.assert_allclose(onto, adj + 4.0, rtol=0, atol=6 * np.spacing(np.float32(np.abs(onto).max())))
+    assert np.abs(adj).max() > 1
 
 
 def test_a_rigid_motion_costs_next_to_nothing(device: str, rng: np.random.Generator) -> None:

@@ -10,6 +10,7 @@ import warp as wp
 from warpdef.fit.morton import morton_order
 from warpdef.kernels.cells import PointGrid, fit_cells
 from warpdef.kernels.neighbours import NearestSearch
+from warpdef.kernels.ways import Way
 
 
 def upload(points: np.ndarray, device: str) -> wp.array:
@@ -93,7 +94,7 @@ def test_exact_against_brute_force(kind: str, device: str, rng: np.random.Genera
 def test_exact_for_cells_of_every_size(per_point: float, device: str, rng: np.random.Generator) -> None:
     targets, queries = targets_of("uniform", 300, rng), queries_everywhere(rng)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("warpdef.kernels.cells._CELLS_PER_POINT", {"cpu": per_point, "cuda": per_point})
+        patch.setattr("warpdef.kernels.cells._CELLS_PER_POINT", dict.fromkeys(Way, per_point))
         grid = PointGrid(upload(targets, device), [len(targets)])
     wanted = max(300 * per_point, 8)
     assert wanted / 8 <= grid.cells.nx * grid.cells.ny * grid.cells.nz <= wanted

@@ -26,6 +26,7 @@ from warpdef.fit.problem import Problem
 from warpdef.fit.terms import InputTerm, Sums, TransformTerm, VertexTerm, vertex_terms
 from warpdef.fit.workers import Phase, Task
 from warpdef.kernels.confidence import confidence
+from warpdef.kernels.vectors import clear_vectors
 
 
 class Objective:
@@ -68,9 +69,16 @@ class Objective:
     # Tasks. Each is called once to be recorded, or at every iteration on CUDA.
 
     def _move(self, first: int, last: int) -> None:
+        self.sums.clear(first, last)
         self.chain.move(first, last - first)
         for term in self.terms:
             term.moved(first, last)
+
+    def _mesh_term(self) -> None:
+        """What of the transform term acts during warm-up."""
+        key, count = self.problem.transitions.keyframe, self.problem.vertex_count
+        clear_vectors(key * count, count, self.sums.weighed.flatten())
+        self.transform.run(key, key + 1)
 
     def _trust(self) -> None:
         p, loss = self.problem, self.problem.config.loss
@@ -88,8 +96,7 @@ class Objective:
         p = self.problem
         clouds = [partial(self.input.run, a, b) for a, b in p.transition_spans()]
         if warmup:
-            k = p.transitions.keyframe
-            return [Phase("move", [*clouds, partial(self.transform.run, k, k + 1)])]
+            return [Phase("move", [*clouds, self._mesh_term])]
         runs = p.vertex_spans()
         return [
             Phase("move", [*(partial(self._move, a, b) for a, b in runs), *clouds]),

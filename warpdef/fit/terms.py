@@ -22,7 +22,7 @@ from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.chamfer import BOTH_SIDES, fixed_to_moving, moving_to_fixed
 from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
 from warpdef.kernels.motion import adj_move_points, move_points
-from warpdef.kernels.vectors import clear_losses
+from warpdef.kernels.vectors import clear_columns, clear_losses, clear_vectors
 
 # How far apart a point and its partner's partner may be where a cloud shows part of the surface (``chamfer``): about as
 # far as on a surface that both sets cover. Twice that, and the rim of what is seen draws the unseen over, bit by bit.
@@ -40,6 +40,11 @@ class Sums:
 
     weighed: wp.array
     plain: wp.array
+
+    def clear(self, first: int, last: int) -> None:
+        """Those of vertices ``first .. last``, in all frames."""
+        for array in (self.weighed, self.plain):
+            clear_columns(first, last - first, array)
 
 
 class VertexTerm(Protocol):
@@ -103,6 +108,7 @@ class InputTerm:
         (begin, count), (met_begin, met_count) = c.spans(groups, frames)
         chain = self._chain
         clear_losses(first, last - first, self.loss)
+        clear_vectors(begin, count, self.adj_points)
         move_points(begin, count, chain.nodes, chain.levels, p.origin, p.moved_transition, self.rotation, self.points)
         c.find(groups, frames)
         results = (self._weight, self._robust, self.loss, self.adj_points)
