@@ -123,6 +123,15 @@ def test_surface_folded_behind_another_is_told(meshes, clouds) -> None:
     assert any("behind or inside" in reason for reason in found.verdicts[0].reasons)
 
 
+def test_the_unseen_back_of_a_thin_limb_is_no_fault(meshes, clouds) -> None:
+    """Thinner than four spacings, so that it is near to the points on its front, but not on theirs."""
+    thin = meshes * [1.0, 1.0, 0.15]
+    front = [cloud[cloud[:, 2] > 0.0] * [1.0, 1.0, 0.15] for cloud in clouds]
+    found = assess(front, thin, FACES, KEYFRAME)
+    assert names(found) == ["good"] * FRAMES
+    assert found.frames[0].far < 0.05 and found.frames[0].unseen > 0.35 and found.frames[0].doubled < 0.01
+
+
 def test_a_wall_inside_the_points_is_named(meshes, clouds) -> None:
     """A disc across the middle of the tube, as between two cells that were one; a scan of one half does not tell."""
     ring = np.column_stack([np.zeros(32), VERTICES[:32, 1:]])

@@ -10,7 +10,7 @@ import numpy as np
 
 from warpdef.cloud import draw_points
 from warpdef.quality.confidence import vertex_confidence
-from warpdef.quality.coverage import Coverage, measure_coverage
+from warpdef.quality.coverage import Coverage, doubled_vertices, measure_coverage
 from warpdef.quality.enclosed import inner_share
 from warpdef.quality.frame import FrameQuality
 from warpdef.quality.shape import ReferenceShape, ShapeChange
@@ -97,12 +97,17 @@ def assess(
         placed = vertices[t] - centre
         change = reference.compare(placed, usual if t == keyframe else None)
         coverage = measure_coverage(points - centre, placed, faces) if len(points) else None
-        inner = inner_share(points - centre, placed, faces, coverage) if coverage is not None else None
-        frames.append(_frame(t, points, coverage, change, reference.extent, inner, *(_number(c[t]) for c in calm)))
+        inner = doubled = None
+        if coverage is not None:
+            inner = inner_share(points - centre, placed, faces, coverage)
+            hidden = doubled_vertices(coverage, placed, reference.vertices, faces)
+            doubled = coverage.share(hidden[faces].mean(axis=1))
+        layers = {"inner": inner, "doubled": doubled}
+        frames.append(_frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm)))
         coverages.append(coverage)
         stretches.append(change.stretch)
     confidence = vertex_confidence(coverages, stretches, reference.edges, faces, vertices.shape[1])
-    return Assessment(frames, [judge(frame, frames[keyframe]) for frame in frames], confidence)
+    return Assessment(frames, [judge(frame) for frame in frames], confidence)
 
 
 def _frame(
@@ -111,13 +116,13 @@ def _frame(
     coverage: Coverage | None,
     change: ShapeChange,
     extent: float,
-    inner: float | None,
+    layers: dict[str, float | None],
     frame_flicker: float | None,
     frame_acceleration: float | None,
 ) -> FrameQuality:
     seen: dict[str, float | None] = dict.fromkeys(
         ("spacing", "noise", "residual_mean", "residual_p95", "residual_mean_percent", "residual_p95_percent")
-        + ("misfit", "uncovered", "far", "unseen", "doubled", "inner", "torn")
+        + ("misfit", "uncovered", "far", "unseen", "torn")
     )
     if coverage is not None:
         mean, high = float(coverage.residual.mean()), float(np.percentile(coverage.residual, 95.0))
@@ -132,14 +137,13 @@ def _frame(
             "uncovered": coverage.uncovered,
             "far": coverage.far,
             "unseen": coverage.unseen,
-            "doubled": coverage.unseen - coverage.far,
-            "inner": inner,
             "torn": coverage.share(coverage.far_faces * change.stretched),
         }
     return FrameQuality(
         frame=t,
         points=len(points),
         **seen,
+        **layers,
         stretch_p95=float(np.percentile(change.stretch, 95.0)),
         stretch_max=float(change.stretch.max()),
         stretched=change.changed,

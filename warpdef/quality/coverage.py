@@ -24,6 +24,7 @@ FAR = 4.0
 _NEIGHBOURS = 8  # whose farthest gives the density
 _SPACING = 0.5 * np.sqrt(np.pi / _NEIGHBOURS)  # mean distance to the first neighbour over that to the 8th
 _OTHER_SIDE = -0.25  # cosine between the normals of a vertex and of its point's place below which that is another side
+_APART = 1.5  # times the distance, plus a length: what was that far apart in the shape does not belong together
 _JUDGED = 200  # points whose neighbourhoods tell the noise
 _FLAT = ((16, 0.5), (48, 0.75), (144, np.inf))
 """Neighbours asked for the noise, and thickness over width up to which they are believed: noise wider than a
@@ -40,7 +41,8 @@ class Coverage:
     noise:     input units
     face:      where on the surface each point's closest place is            (N,)
     weights:   its barycentric coordinates there                             (N, 3)
-    away:      distance of each vertex to its nearest point, in lengths      (V,)
+    nearest:   the point nearest to each vertex                              (V,)
+    away:      distance of each vertex to it, in lengths                     (V,)
     seen:      whether the frame shows each vertex                           (V,)
     unseen:    share of the surface that the frame does not show, far or not
     far_faces: share of each face farther than ``FAR`` lengths from all      (F,)
@@ -53,6 +55,7 @@ class Coverage:
     noise: float
     face: np.ndarray
     weights: np.ndarray
+    nearest: np.ndarray
     away: np.ndarray
     seen: np.ndarray
     unseen: float
@@ -72,6 +75,25 @@ class Coverage:
     def share(self, of_faces: np.ndarray) -> float:
         """Mean over the surface of a number a face, shape (F,)."""
         return _mean_by_area(of_faces, self.areas)
+
+
+def doubled_vertices(coverage: Coverage, vertices: np.ndarray, shape: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Vertices near points that lie on another part of the surface, from which the shape holds them apart; (V,) bool.
+
+    The back of a thin limb is as near to the points on its front, but so it is in the shape.
+
+    Args:
+        coverage: of this frame. vertices: shape (V, 3). shape: the same in the shape (V, 3). faces: shape (F, 3).
+    """
+    hidden = np.flatnonzero(~coverage.seen & (coverage.away <= FAR))
+    point = coverage.nearest[hidden]
+    corners, weights = faces[coverage.face[point]], coverage.weights[point]
+    now, then = (
+        np.linalg.norm(np.einsum("nk,nki->ni", weights, x[corners]) - x[hidden], axis=1) for x in (vertices, shape)
+    )
+    found = np.zeros(len(vertices), dtype=bool)
+    found[hidden] = then > _APART * now + coverage.length[point]
+    return found
 
 
 def noise_level(points: np.ndarray, tree, rng: np.random.Generator) -> float:
@@ -130,7 +152,7 @@ def measure_coverage(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray
     seen = beside & same_side & ~far
     unseen = _mean_by_area(np.maximum(far_faces, (~seen)[faces].mean(axis=1)), areas)
     away = distance / length[nearest]
-    return Coverage(residual, length, spacing, noise, face, weights, away, seen, unseen, far_faces, areas)
+    return Coverage(residual, length, spacing, noise, face, weights, nearest, away, seen, unseen, far_faces, areas)
 
 
 def _mean_by_area(of_faces: np.ndarray, areas: np.ndarray) -> float:

@@ -19,7 +19,7 @@ class FrameQuality:
     uncovered:    share of the points that the surface does not reach
     far:          share of the surface far from every point; on a partial scan that is no fault
     unseen:       share of the surface that the frame does not show, far or not
-    doubled:      share of the surface that is near points but not the one that they lie on: behind or inside another
+    doubled:      share of the surface that is near points of another part, and was apart from it in the shape
     inner:        share of the surface that is far from every point and enclosed by them: a wall between what has parted
     torn:         share of the surface that is far from every point and stretched at that
     stretch_p95, stretch_max: of |log l / l_shape| over the edges

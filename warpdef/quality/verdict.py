@@ -23,7 +23,6 @@ class Bound:
     """One measure's thresholds: a frame above ``doubtful`` is doubtful, above ``lost`` lost.
 
     measure: a field of ``FrameQuality``. reason: the value in words, ``{}`` is the number. why: where they come from.
-    over_keyframe: what the keyframe has of it as well is taken off first.
     """
 
     measure: str
@@ -31,7 +30,6 @@ class Bound:
     lost: float
     reason: str
     why: str
-    over_keyframe: bool = False
 
 
 _NEVER = float("inf")
@@ -62,11 +60,10 @@ BOUNDS = (
     ),
     Bound(
         "doubled",
-        0.05,
+        0.035,
         _NEVER,
         "{:.0%} of the surface lies behind or inside another part of it",
-        "up to 3 % more than in the keyframe where nothing is wrong; crumpled and turned inside out 8 to 20 %",
-        over_keyframe=True,
+        "below 1 % on bodies, up to 2.5 % on rough scans of a hand; crumpled and turned inside out 4 to 20 %",
     ),
     Bound(
         "inner",
@@ -110,18 +107,15 @@ class Verdict:
     severity: float = 0.0
 
 
-def judge(frame: FrameQuality, keyframe: FrameQuality) -> Verdict:
+def judge(frame: FrameQuality) -> Verdict:
     """The worst that any measure says; a frame without points is doubtful, as its mesh is a guess."""
     if not frame.points:
         return Verdict(DOUBTFUL, ("no usable points: interpolated",))
     found = []
     for bound in BOUNDS:
         value = getattr(frame, bound.measure)
-        if value is None:
-            continue
-        over = value - (getattr(keyframe, bound.measure) or 0.0 if bound.over_keyframe else 0.0)
-        if over > bound.doubtful:
-            found.append((over > bound.lost, over / bound.doubtful, bound.reason.format(value)))
+        if value is not None and value > bound.doubtful:
+            found.append((value > bound.lost, value / bound.doubtful, bound.reason.format(value)))
     if not found:
         return Verdict(GOOD)
     found.sort(reverse=True)
