@@ -37,7 +37,7 @@ def export(
     """Write a result in another program's format, chosen by the suffix of FILE.
 
     .glb .usd .usda .usdc .usdz .npz .anime .bvh are one file; .pc2 and .mdd come with the base mesh as .obj; .pvd
-    with a folder of .vtp files; .obj and .ply are folders of numbered files. Vertices keep their order and their
+    with a folder of .vtp files; .obj .ply .stl .3mf are folders of numbered files. Vertices keep their order and their
     numbers. The image of a textured template goes to .glb, .usd and its kin, .obj and .ply; the others cannot carry it.
 
     Args:

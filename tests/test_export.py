@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import xml.etree.ElementTree as ElementTree
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -218,6 +219,32 @@ def test_ply_folder(tmp_path, animation):
             assert set(rows.dtype.names) == {"x", "y", "z", "nx", "ny", "nz"}
         normals = np.column_stack([rows[f"n{axis}"] for axis in "xyz"])
         np.testing.assert_allclose(normals, outward(t), atol=1e-6)
+
+
+def test_stl_folder(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    export(PAINTED, tmp_path / "bar.stl")
+    files = sorted((tmp_path / "bar.stl").iterdir())
+    assert [p.name for p in files] == [f"{t:04d}.stl" for t in range(5)]
+    for t, file in enumerate(files):
+        np.testing.assert_array_equal(trimesh.load(file, process=False).triangles, VERTICES[t][FACES])
+
+
+def test_3mf_folder(tmp_path):
+    pytest.importorskip("lxml"), pytest.importorskip("networkx")
+    export(PAINTED, tmp_path / "bar.3mf")
+    files = sorted((tmp_path / "bar.3mf").iterdir())
+    assert [p.name for p in files] == [f"{t:04d}.3mf" for t in range(5)]
+    core = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+    for t, file in enumerate(files):
+        with zipfile.ZipFile(file) as archive:
+            model = ElementTree.fromstring(archive.read("3D/3dmodel.model"))
+        # Hundredths of a metre become the format's millimetres.
+        assert model.get("unit") == "millimeter"
+        vertices = [[float(v.get(axis)) for axis in "xyz"] for v in model.iter(f"{core}vertex")]
+        np.testing.assert_allclose(vertices, VERTICES[t] * 10.0, rtol=1e-6)
+        triangles = [[int(f.get(f"v{k}")) for k in "123"] for f in model.iter(f"{core}triangle")]
+        np.testing.assert_array_equal(triangles, FACES)
 
 
 def test_pvd(tmp_path):

@@ -78,6 +78,8 @@ FORMATS = {
     "pvd": Format("paraview:write_pvd", "ParaView, with a folder of .vtp files", beside=("{}_vtp",), measured=True),
     "obj": Format("mesh_folders:write_obj_folder", "a folder of OBJ files", is_folder=True),
     "ply": Format("mesh_folders:write_ply_folder", "a folder of binary PLY files", is_folder=True, measured=True),
+    "stl": Format("print_folders:write_stl_folder", "a folder of binary STL files", is_folder=True),
+    "3mf": Format("print_folders:write_3mf_folder", "a folder of 3MF files, in millimetres", is_folder=True),
     "npz": Format("archive:write_npz_animation", "NumPy: vertices (T, V, 3), faces, fps, names, up", measured=True),
     "anime": Format("anime:write_anime", "DeformingThings4D"),
     "bvh": Format("", "the bones of a rig, as motion capture has them", rigged="bvh:write_bvh"),
@@ -90,7 +92,7 @@ POINT_FORMATS = {
 }
 """Formats of moving points."""
 
-_NUMBERED = re.compile(r"[0-9]{4,}\.(obj|ply|vtp)")
+_NUMBERED = re.compile(r"[0-9]{4,}\.(obj|ply|vtp|stl|3mf)")
 
 
 def format_of(path: Path | str, name: str = "", points: bool = False) -> Format:
@@ -109,9 +111,12 @@ def format_of(path: Path | str, name: str = "", points: bool = False) -> Format:
         raise InputError(f"{path}: expected {known} for points without faces, got '.{key}', which holds meshes only")
     if key in FORMATS:
         return (POINT_FORMATS if points else FORMATS)[key]
-    hint = {"gltf": "glb", "abc": "usdc", "fbx": "glb", "vtp": "pvd"}.get(key) or next(
-        iter(get_close_matches(key, FORMATS, 1)), ""
-    )
+    if key == "abc":
+        raise InputError(
+            f"{path}: Alembic is not written; write .usdc, and turn it into Alembic where that is wanted (in Blender: "
+            "import the .usdc, export as Alembic)"
+        )
+    hint = {"gltf": "glb", "fbx": "glb", "vtp": "pvd"}.get(key) or next(iter(get_close_matches(key, FORMATS, 1)), "")
     meant = f"; did you mean .{hint}?" if hint else ""
     known = " ".join(f".{key}" for key in FORMATS)
     got = f"'.{key}'" if key else "none"
