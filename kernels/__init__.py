@@ -13,7 +13,7 @@ A room a file, in the order in which an iteration goes through them:
     graphs                  which nodes smooth which
     cosine                  the Sobolev solve on full grids,
     cholesky                on the template, factorised once,
-    cg, cg_kernels          and on any graph
+    cg                      and on any graph: cg_functions, cg_kernels in one thread a system, cg_steps in launches
     adam, finite            the step; whether numbers are still numbers
     vectors                 clear, copy, add and blend
 

@@ -4,6 +4,9 @@ Every component of a node (six of a grid node, three of a vertex) is its own rig
 so a small rotation is solved as well as a large translation. A system stops when |r| <= tolerance |b| holds for each
 component; each solve tells its iterations and its worst relative residual. The start is the last solution.
 
+The residual that the recursion carries along drifts from what it stands for as rounding adds up. So b - A x is computed
+anew where the recursion ends; it is what is told, and if it asks for more the recursion starts again from there.
+
 The CPU runs a whole system in one thread and stops early. CUDA runs the same recurrence over all systems at once, one
 launch a phase, a converged system standing still. The operator is symmetric: its own adjoint.
 """
@@ -13,22 +16,28 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpdef.kernels.cg_functions import check_limits, iterations_between_looks
 from warpdef.kernels.cg_kernels import kernels_for
+from warpdef.kernels.cg_steps import steps_for
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.launching import launch
 from warpdef.kernels.levels import node8
 from warpdef.kernels.ways import Way, way_of
 
-_KERNELS = {wp.vec3: kernels_for(wp.vec3), node8: kernels_for(node8)}
+_KERNELS = {dtype: kernels_for(dtype) | steps_for(dtype) for dtype in (wp.vec3, node8)}
 
 
 class ConjugateGradients:
     """``(I + lambda L)^-1`` on a ``Graph``; keeps its last solution as the next start.
 
     Args:
-        graph: the systems. dtype: vec3 or node8. tolerance: relative residual to stop at.
-        iterations_max: iterations after which a solve gives up and says so in ``iterations`` and ``residual``.
+        graph: the systems. dtype: vec3 or node8. tolerance: relative residual to stop at, above 0 and below 1.
+        iterations_max: iterations after which a solve gives up and says so in ``iterations`` and ``residual``, the true
+            one. A solve also gives up where rounding keeps restarts from halving the residual.
         stepwise: one launch a phase over all systems, the way of CUDA; None: where the device is no CPU.
+
+    Raises:
+        ValueError: limits that no solve can keep.
     """
 
     def __init__(
@@ -43,6 +52,7 @@ class ConjugateGradients:
         def ints(a: np.ndarray) -> wp.array:
             return wp.array(a, dtype=wp.int32, device=device)
 
+        check_limits(tolerance, iterations_max)
         nodes, systems = len(graph.node), len(graph.weight)
         self._device = device
         self._kernels = _KERNELS[dtype]
@@ -54,10 +64,14 @@ class ConjugateGradients:
         self.iterations = wp.zeros(systems, dtype=wp.int32, device=device)
         self.residual = wp.zeros(systems, dtype=wp.float32, device=device)
         self._stepwise = way_of(device) is Way.WHOLE if stepwise is None else stepwise
-        steps = self._iterations_max if self._stepwise else 0
+        # Rows of the recursion, one a step, and where among them the true residuals lie.
+        steps = iterations_between_looks(self._iterations_max) if self._stepwise else []
+        self._looks = np.cumsum([0, *(n + 1 for n in steps)])
+        self._look_rows = ints(self._looks)
         self._b_sq = wp.zeros(systems, dtype=dtype, device=device)
-        self._r_sq = wp.zeros((steps + 1, systems), dtype=dtype, device=device)
-        self._p_ap = wp.zeros((steps + 1, systems), dtype=dtype, device=device)
+        self._r_sq, self._p_ap = (
+            wp.zeros((self._looks[-1] + 1, systems), dtype=dtype, device=device) for _ in range(2)
+        )
 
     @property
     def start(self) -> wp.array:
@@ -109,12 +123,28 @@ class ConjugateGradients:
         start = (self._node, self._system, *matrix, rhs, self._x, self._r, self._p, self._b_sq, self._r_sq)
         run("start", nodes, *start)
         run("settle", nodes, self._system, self._first, self._b_sq, self._x, self._r, self._p, self._r_sq)
-        for step in range(self._r_sq.shape[0] - 1):
-            norms = (self._b_sq, self._r_sq)
-            run("multiply", nodes, step, tolerance, self._system, *matrix, *norms, self._p, self._ap, self._p_ap)
-            moved = (self._b_sq, self._p_ap, self._p, self._ap, self._x, self._r, self._r_sq)
-            run("update", nodes, step, tolerance, self._system, self._first, *moved)
-            run("turn", nodes, step, tolerance, self._system, *norms, self._r, self._p)
+        norms = (self._b_sq, self._r_sq)
+        for first, last in zip(self._looks[:-1], self._looks[1:], strict=True):
+            for step in range(int(first), int(last) - 1):
+                run("multiply", nodes, step, tolerance, self._system, *matrix, *norms, self._p, self._ap, self._p_ap)
+                moved = (self._b_sq, self._p_ap, self._p, self._ap, self._x, self._r, self._r_sq)
+                run("update", nodes, step, tolerance, self._system, self._first, *moved)
+                run("turn", nodes, step, tolerance, self._system, *norms, self._r, self._p)
+            graph = (self._node, self._system, self._first, *matrix)
+            final = int(last == self._looks[-1])
+            run(
+                "look",
+                nodes,
+                int(last),
+                final,
+                tolerance,
+                *graph,
+                rhs,
+                self._b_sq,
+                self._x,
+                self._r,
+                self._p,
+                self._r_sq,
+            )
         self.scatter(self._x, solution_out)
-        last = self._r_sq.shape[0] - 1
-        run("report", systems, last, tolerance, self._b_sq, self._r_sq, self.iterations, self.residual)
+        run("report", systems, tolerance, self._look_rows, *norms, self.iterations, self.residual)

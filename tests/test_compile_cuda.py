@@ -27,7 +27,7 @@ def modules_with_kernels() -> dict[str, wp.Module]:
             found[info.name] = module
     for dtype, label in ((wp.vec3, "vec3"), (node8, "node8")):
         for name, kernel in cg._KERNELS[dtype].items():
-            found[f"cg_kernels-{name}-{label}"] = kernel.module
+            found[f"{Path(kernel.func.__code__.co_filename).stem}-{name}-{label}"] = kernel.module
     return found
 
 
