@@ -40,6 +40,23 @@ class Cells:
     nz: int
 
 
+@sizes("points order sorted_points: N; start: G X*Y*Z+1; odometer: G")
+@wp.struct
+class Targets:
+    """What a search reads of a ``PointGrid``, which fills it.
+
+    cells: of the box. points: shape (N,). start: first slot of each cell of a group, shape (G, cells + 1). order,
+    sorted_points: index and place of the point in each slot, shape (N,). odometer: shape (G,).
+    """
+
+    cells: Cells
+    points: wp.array[wp.vec3]
+    start: wp.array2d[wp.int32]
+    order: wp.array[wp.int32]
+    sorted_points: wp.array[wp.vec3]
+    odometer: wp.array[wp.float64]
+
+
 @wp.func
 def axis_cell(u: float, lower: float, size: float, count: int) -> int:
     """Cell along one axis; clamped outside the box; NaN falls into cell 0."""
@@ -58,8 +75,9 @@ def cell_of(p: wp.vec3, cells: Cells) -> int:
 
 
 @wp.func
-def first_candidate(q: wp.vec3, group: int, cells: Cells, start: wp.array2d[wp.int32]) -> int:
+def first_candidate(q: wp.vec3, group: int, targets: Targets) -> int:
     """Slot of some point in the nearest ring of cells that has one; -1 if the group is empty."""
+    cells = targets.cells
     cx = axis_cell(q[0], cells.lower[0], cells.size, cells.nx)
     cy = axis_cell(q[1], cells.lower[1], cells.size, cells.ny)
     cz = axis_cell(q[2], cells.lower[2], cells.size, cells.nz)
@@ -71,8 +89,8 @@ def first_candidate(q: wp.vec3, group: int, cells: Cells, start: wp.array2d[wp.i
         for z in range(wp.max(cz - ring, 0), wp.min(cz + ring, cells.nz - 1) + 1):
             for y in range(wp.max(cy - ring, 0), wp.min(cy + ring, cells.ny - 1) + 1):
                 row = (z * cells.ny + y) * cells.nx
-                if start[group, row + x1 + 1] > start[group, row + x0]:
-                    found = start[group, row + x0]
+                if targets.start[group, row + x1 + 1] > targets.start[group, row + x0]:
+                    found = targets.start[group, row + x0]
         ring = ring + 1
     return found
 
@@ -281,6 +299,10 @@ class PointGrid:
         self.start = wp.zeros((len(sizes), cell_count + 1), dtype=wp.int32, device=device)
         self.order = wp.zeros(len(points), dtype=wp.int32, device=device)
         self.sorted = wp.clone(points)
+        self.targets = Targets()
+        self.targets.cells, self.targets.odometer = self.cells, self.odometer
+        self.targets.points, self.targets.sorted_points = points, self.sorted
+        self.targets.start, self.targets.order = self.start, self.order
         group = np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
         self._group = wp.array(group, dtype=wp.int32, device=device)
         self._offset = wp.array(self.offset, dtype=wp.int32, device=device)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from warpdef.kernels.cells import Cells, PointGrid, first_candidate
+from warpdef.kernels.cells import PointGrid, Targets, first_candidate
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.packets import QUERIES_PER_THREAD, nearest_in_packets
 from warpdef.kernels.sizes import require, require_span, sizes
@@ -34,19 +34,19 @@ _MARGIN_IN_CELLS, _MARGIN_OF_PACKETS = 0.15, 0.05
 # Warp's own loops are half as fast here.
 _SEARCH_BALL = """
     const float qx = q[0], qy = q[1], qz = q[2];
-    const float size = cells.size, inverse = 1.0f / size;
-    const int nx = cells.nx, ny = cells.ny, nz = cells.nz;
-    const int* const begin = start.data + (size_t)group * start.shape[1];
-    const wp::vec3* const target = sorted_points.data;
+    const float size = targets.cells.size, inverse = 1.0f / size;
+    const int nx = targets.cells.nx, ny = targets.cells.ny, nz = targets.cells.nz;
+    const int* const begin = targets.start.data + (size_t)group * targets.start.shape[1];
+    const wp::vec3* const target = targets.sorted_points.data;
     int best = candidate;
-    const wp::vec3 c = points.data[candidate];
+    const wp::vec3 c = targets.points.data[candidate];
     float dx = c[0] - qx, dy = c[1] - qy, dz = c[2] - qz;
     float best_sq = dx * dx + dy * dy + dz * dz, other_sq = 3.0e38f;
     float reach = (sqrtf(best_sq) + margin) * WIDEN, reach_sq = reach * reach;
     // In cells from the lower corner, clamped into the box, whose border cells hold what lies outside. A comparison
     // that NaN fails sends NaN to the corner.
-    const float gx = (qx - cells.lower[0]) * inverse, gy = (qy - cells.lower[1]) * inverse;
-    const float gz = (qz - cells.lower[2]) * inverse;
+    const float gx = (qx - targets.cells.lower[0]) * inverse, gy = (qy - targets.cells.lower[1]) * inverse;
+    const float gz = (qz - targets.cells.lower[2]) * inverse;
     const float ux = gx > 0.0f ? (gx < (float)nx ? gx : (float)nx) : 0.0f;
     const float uy = gy > 0.0f ? (gy < (float)ny ? gy : (float)ny) : 0.0f;
     const float uz = gz > 0.0f ? (gz < (float)nz ? gz : (float)nz) : 0.0f;
@@ -73,7 +73,7 @@ _SEARCH_BALL = """
                 dx = p[0] - qx; dy = p[1] - qy; dz = p[2] - qz;
                 const float d_sq = dx * dx + dy * dy + dz * dz;
                 if (d_sq <= other_sq) {
-                    const int found = order.data[slot];
+                    const int found = targets.order.data[slot];
                     if (d_sq < best_sq) {
                         other_sq = best_sq; best_sq = d_sq; best = found;
                         reach = (sqrtf(best_sq) + margin) * WIDEN; reach_sq = reach * reach;
@@ -100,32 +100,20 @@ def search_ball(
     group: int,
     candidate: int,
     margin: float,
-    cells: Cells,
-    points: wp.array[wp.vec3],
-    start: wp.array2d[wp.int32],
-    order: wp.array[wp.int32],
-    sorted_points: wp.array[wp.vec3],
+    targets: Targets,
     index_out: wp.array[wp.int32],
     bound_out: wp.array[wp.float32],
 ): ...
 
 
-@sizes(
-    "threads queries query_group anchor reading bound index: Q; points order sorted_points: N; start: G X*Y*Z+1; "
-    "odometer: G"
-)
+@sizes("threads queries query_group anchor reading bound index: Q")
 @wp.kernel
 def _nearest(
     # In:
     begin: int,
     queries: wp.array[wp.vec3],
     query_group: wp.array[wp.int32],
-    cells: Cells,
-    points: wp.array[wp.vec3],
-    start: wp.array2d[wp.int32],
-    order: wp.array[wp.int32],
-    sorted_points: wp.array[wp.vec3],
-    odometer: wp.array[wp.float64],
+    targets: Targets,
     margin: float,
     # In and out: what is known from the last search of a query
     anchor: wp.array[wp.vec3],
@@ -144,19 +132,19 @@ def _nearest(
     best = index[i]
     if best >= 0:
         # Nothing can have come nearer than the bound, less how far the query and any target have moved since.
-        travelled = float(odometer[group] - reading[i])
+        travelled = float(targets.odometer[group] - reading[i])
         drift = wp.length(q - anchor[i]) + travelled
         known = bound[i] - _WIDEN * drift - _ROUNDING * (1.0 + travelled)
-        if wp.length(points[best] - q) < known:
+        if wp.length(targets.points[best] - q) < known:
             return
     else:
-        slot = first_candidate(q, group, cells, start)
+        slot = first_candidate(q, group, targets)
         if slot < 0:
             return
-        best = order[slot]
-    search_ball(i, q, group, best, margin, cells, points, start, order, sorted_points, index, bound)
+        best = targets.order[slot]
+    search_ball(i, q, group, best, margin, targets, index, bound)
     anchor[i] = q
-    reading[i] = odometer[group]
+    reading[i] = targets.odometer[group]
 
 
 class NearestSearch:
@@ -188,12 +176,10 @@ class NearestSearch:
 
     def run(self, begin: int = 0, count: int | None = None) -> None:
         """Answer queries ``begin .. begin + count`` (None: all) for the grid as last built."""
-        g = self._grid
-        targets = [g.cells, g.points, g.start, g.order, g.sorted, g.odometer, self._margin]
         known = [self._anchor, self._reading, self._bound]
         count = len(self.index) - begin if count is None else count
         require_span("queries", begin, count, len(self.index))
-        asked = [self._queries, self._group, *targets, *known, self.index]
+        asked = [self._queries, self._group, self._grid.targets, self._margin, *known, self.index]
         device = self._queries.device
         if self._in_packets:
             runs = -(-count // QUERIES_PER_THREAD)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from warpdef.kernels.cells import Cells, first_candidate
+from warpdef.kernels.cells import Targets, first_candidate
 from warpdef.kernels.launching import MODULE_OPTIONS
 from warpdef.kernels.sizes import sizes
 
@@ -26,8 +26,8 @@ _SEARCH_PACKETS = (
 #if !defined(__CUDA_ARCH__)
     typedef float lanes __attribute__((vector_size(64)));
     typedef int whole __attribute__((vector_size(64)));
-    const float size = cells.size, inverse = 1.0f / size, huge = 3.0e38f;
-    const int count_of[3] = {cells.nx, cells.ny, cells.nz};
+    const float size = targets.cells.size, inverse = 1.0f / size, huge = 3.0e38f;
+    const int count_of[3] = {targets.cells.nx, targets.cells.ny, targets.cells.nz};
     float lower[3], upper[3], widest = 0.0f, cost = 0.0f;  // of the packet: queries, reach, cells
     int waiting[16], filled = 0, packet_group = -1;
     lanes qx = {}, qy = {}, qz = {};
@@ -38,9 +38,9 @@ _SEARCH_PACKETS = (
         return (high[0] - low[0] + extra + ROW) * (high[1] - low[1] + extra) * (high[2] - low[2] + extra);
     };
     const auto search = [&]() {
-        const int nx = cells.nx, ny = cells.ny, nz = cells.nz;
-        const int* const begin_of = start.data + (size_t)packet_group * start.shape[1];
-        const float* const target = (const float*)sorted_points.data;
+        const int nx = targets.cells.nx, ny = targets.cells.ny, nz = targets.cells.nz;
+        const int* const begin_of = targets.start.data + (size_t)packet_group * targets.start.shape[1];
+        const float* const target = (const float*)targets.sorted_points.data;
         lanes best_sq = huge - lanes{}, other_sq = best_sq;
         whole best = candidate;
         const float reach = widest < 1.0e9f * size ? widest : 1.0e9f * size, reach_sq = reach * reach;
@@ -67,7 +67,7 @@ _SEARCH_PACKETS = (
                 const int end = begin_of[row + x1 + 1];
                 for (int slot = begin_of[row + x0]; slot < end; ++slot) {
                     const float* const p = target + 3 * (size_t)slot;
-                    const whole found = order.data[slot] - whole{};
+                    const whole found = targets.order.data[slot] - whole{};
                     const lanes dx = p[0] - qx, dy = p[1] - qy, dz = p[2] - qz;
                     const lanes d_sq = dx * dx + dy * dy + dz * dz;
                     const whole nearer = d_sq < best_sq, tie = (d_sq == best_sq) & (found < best);
@@ -84,7 +84,7 @@ _SEARCH_PACKETS = (
             index_out.data[i] = best[l];
             bound_out.data[i] = other < reach ? other : reach;
             anchor_out.data[i] = queries.data[i];
-            reading_out.data[i] = odometer.data[packet_group];
+            reading_out.data[i] = targets.odometer.data[packet_group];
         }
         filled = 0;
     };
@@ -94,12 +94,12 @@ _SEARCH_PACKETS = (
         if (group < 0) { index_out.data[i] = -1; continue; }
         const int known = index_out.data[i];
         if (known < 0) continue;  // an empty group
-        const wp::vec3 q = queries.data[i], c = points.data[known], a = anchor_out.data[i];
+        const wp::vec3 q = queries.data[i], c = targets.points.data[known], a = anchor_out.data[i];
         const float dx = c[0] - q[0], dy = c[1] - q[1], dz = c[2] - q[2];
         const float distance = sqrtf(dx * dx + dy * dy + dz * dz);
         // Nothing can have come nearer than the bound, less how far the query and any target have moved since.
         const float mx = q[0] - a[0], my = q[1] - a[1], mz = q[2] - a[2];
-        const float travelled = (float)(odometer.data[group] - reading_out.data[i]);
+        const float travelled = (float)(targets.odometer.data[group] - reading_out.data[i]);
         const float drift = sqrtf(mx * mx + my * my + mz * mz) + travelled;
         if (distance < bound_out.data[i] - 1.0001f * drift - ROUNDING * (1.0f + travelled)) continue;
         const float sum = q[0] + q[1] + q[2];
@@ -107,7 +107,7 @@ _SEARCH_PACKETS = (
         const float reach = distance < huge ? (distance + margin) * 1.0001f : huge;
         float low[3], high[3], own[3];
         for (int k = 0; k < 3; ++k) {
-            const float g = (q[k] - cells.lower[k]) * inverse, n = (float)count_of[k];
+            const float g = (q[k] - targets.cells.lower[k]) * inverse, n = (float)count_of[k];
             own[k] = g > 0.0f ? (g < n ? g : n) : 0.0f;
         }
         const float alone = cost_of(own, own, reach);
@@ -145,12 +145,7 @@ def search_packets(
     end: int,
     queries: wp.array[wp.vec3],
     query_group: wp.array[wp.int32],
-    cells: Cells,
-    points: wp.array[wp.vec3],
-    start: wp.array2d[wp.int32],
-    order: wp.array[wp.int32],
-    sorted_points: wp.array[wp.vec3],
-    odometer: wp.array[wp.float64],
+    targets: Targets,
     margin: float,
     anchor_out: wp.array[wp.vec3],
     reading_out: wp.array[wp.float64],
@@ -159,10 +154,7 @@ def search_packets(
 ): ...
 
 
-@sizes(
-    "threads queries query_group anchor reading bound index: Q; count: <Q+1; points order sorted_points: N; start: G "
-    "X*Y*Z+1; odometer: G"
-)
+@sizes("threads queries query_group anchor reading bound index: Q; count: <Q+1")
 @wp.kernel
 def nearest_in_packets(
     # In:
@@ -171,12 +163,7 @@ def nearest_in_packets(
     per_thread: int,
     queries: wp.array[wp.vec3],
     query_group: wp.array[wp.int32],
-    cells: Cells,
-    points: wp.array[wp.vec3],
-    start: wp.array2d[wp.int32],
-    order: wp.array[wp.int32],
-    sorted_points: wp.array[wp.vec3],
-    odometer: wp.array[wp.float64],
+    targets: Targets,
     margin: float,
     # In and out: what is known from the last search of a query
     anchor: wp.array[wp.vec3],
@@ -190,11 +177,8 @@ def nearest_in_packets(
     last = wp.min(first + per_thread, begin + count)
     for i in range(first, last):
         if index[i] < 0 and query_group[i] >= 0:
-            slot = first_candidate(queries[i], query_group[i], cells, start)
+            slot = first_candidate(queries[i], query_group[i], targets)
             if slot >= 0:
-                index[i] = order[slot]
+                index[i] = targets.order[slot]
             bound[i] = -3.0e38  # whatever the odometer says: search
-    search_packets(
-        first, last, queries, query_group, cells, points, start, order, sorted_points, odometer, margin,
-        anchor, reading, bound, index,
-    )  # fmt: skip
+    search_packets(first, last, queries, query_group, targets, margin, anchor, reading, bound, index)

@@ -14,8 +14,9 @@ device.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -40,7 +41,7 @@ class _Size:
 
 @dataclass(frozen=True)
 class _Argument:
-    """An array or an int: ``position`` among the inputs, ``member`` of a struct there."""
+    """An array or an int: ``position`` among the inputs, ``member`` of a struct there, dotted."""
 
     label: str
     position: int
@@ -124,8 +125,8 @@ def _table_of(kernel: wp.Kernel, entries: dict[str, str]) -> _Table:
 
     for position, (label, kind) in enumerate(kinds.items()):
         if kind in _OF_STRUCTS:
-            for member, entry in _OF_STRUCTS[kind].items():
-                add(f"{label}.{member}", position, member, kind.vars[member].type, entry)
+            for member, (of, entry) in _members(kind):
+                add(f"{label}.{member}", position, member, of, entry)
         elif label in entries or hasattr(kind, "ndim"):
             add(label, position, "", kind, entries.pop(label, ""))
     told = {size.name for argument in table.arguments for size in argument.names if not argument.optional}
@@ -136,6 +137,15 @@ def _table_of(kernel: wp.Kernel, entries: dict[str, str]) -> _Table:
     if entries or lost:
         raise TypeError(f"sizes of {table.name}: no such arguments: {sorted(entries)}; told by none: {sorted(lost)}")
     return table
+
+
+def _members(struct: Any, path: str = "") -> Iterator[tuple[str, tuple[Any, str]]]:
+    """Type and entry of everything in a struct's table, and in the tables of structs inside it."""
+    for name, member in struct.vars.items():
+        if member.type in _OF_STRUCTS:
+            yield from _members(member.type, f"{path}{name}.")
+        elif name in _OF_STRUCTS[struct]:
+            yield f"{path}{name}", (member.type, _OF_STRUCTS[struct][name])
 
 
 def check(kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any], device: wp.Device) -> None:
@@ -154,7 +164,7 @@ def check(kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any], 
     for a in table.arguments:
         value = inputs[a.position]
         if a.member:
-            value = getattr(value, a.member)
+            value = functools.reduce(getattr, a.member.split("."), value)
         if not a.rank:
             shape = (int(value),)
         elif value is None and a.optional:
