@@ -31,20 +31,14 @@ _forced: Way | None = None
 
 
 def way_of(device: wp.Device) -> Way:
-    """The CPU's or CUDA's; inside ``going`` the one that was asked for."""
-    return _forced or (Way.SPANS if device.is_cpu else Way.WHOLE)
+    """CUDA's on CUDA; on the CPU its own, or inside ``going`` the one asked for."""
+    return (_forced or Way.SPANS) if device.is_cpu else Way.WHOLE
 
 
 @contextmanager
 def going(way: Way) -> Iterator[None]:
-    """Let everything built in the block go this way. CUDA goes no other way than its own.
-
-    Raises:
-        ValueError: spans where the device at hand is CUDA's.
-    """
+    """Let what is built for the CPU in the block go this way."""
     global _forced
-    if way is Way.SPANS and not wp.get_device().is_cpu:
-        raise ValueError("way: expected WHOLE on a CUDA device, got SPANS, which is the CPU's")
     outer, _forced = _forced, way
     try:
         yield

@@ -14,6 +14,7 @@ import witness
 from gradients import along, assert_gradients_close, finite_differences
 
 from warpdef.config import Config
+from warpdef.device import Way, going
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import Problem
 from warpdef.kernels.levels import node8
@@ -294,6 +295,25 @@ def test_warm_up_sees_the_input_and_mesh_terms_alone(device: str) -> None:
     assert_gradients_close(toy.adj_nodes, expected, elementwise=2e-4, relative=2e-4)
     assert o.transform.loss.numpy()[1] > 0
     assert not o.transform.loss.numpy()[[0, 2]].any() and not o.terms[1].loss.numpy().any()
+
+
+@pytest.mark.parametrize("way", Way)
+@pytest.mark.parametrize("warmup", [False, True])
+def test_an_evaluation_begins_anew(way: Way, warmup: bool, device: str) -> None:
+    """What sums and losses held before has no say."""
+    with going(way):
+        toy = Toy(device, warmup=warmup)
+    o = toy.objective
+    kept = [o.input.adj_points, *((o.sums.weighed[1],) if warmup else (o.sums.weighed, o.sums.plain))]
+    before, told = [a.numpy().copy() for a in kept], o.losses()
+    for array in (o.input.adj_points, o.sums.weighed, o.sums.plain):
+        array.fill_(wp.vec3(1.0, 2.0, 3.0))
+    for phase in o.phases(warmup):
+        for task in phase.tasks:
+            task()
+    assert o.losses() == pytest.approx(told, rel=1e-6)
+    for array, expected in zip(kept, before, strict=True):
+        np.testing.assert_allclose(array.numpy(), expected, rtol=0, atol=1e-6 * np.abs(expected).max())
 
 
 def test_zero_nodes_leave_the_vertices_and_still_ask_for_a_turn(device: str) -> None:
