@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from pathlib import Path
 
@@ -63,9 +64,10 @@ def test_damage_is_never_believed(path: Path, rng: np.random.Generator) -> None:
 
 
 def test_other_files_are_no_checkpoints(path: Path) -> None:
-    path.write_bytes(b"warpdef checkpoint 2\n" + bytes(100))
-    with pytest.raises(InputError, match="expected a checkpoint of this warpdef, got something else"):
-        read_checkpoint(path)
+    for other in (b"warpdef checkpoint\n", b"warpdef checkpoint x\n", b"ply\n"):
+        path.write_bytes(other + bytes(100))
+        with pytest.raises(InputError, match="expected a checkpoint of this warpdef, got something else"):
+            read_checkpoint(path)
     with pytest.raises(InputError, match="got nothing there"):
         read_checkpoint(path.with_name("missing"))
 
@@ -110,6 +112,41 @@ def test_digests_tell_frames_apart(rng: np.random.Generator) -> None:
 
 def test_the_format_is_the_documented_one(path: Path) -> None:
     data = path.read_bytes()
-    assert data.startswith(b"warpdef checkpoint 1\n") and module._DIGEST == 32
+    assert data.startswith(b"warpdef checkpoint %d\n" % module.FORMAT) and module._DIGEST == 32 and module.FORMAT < 10
     length = int.from_bytes(data[21:29], "little")
     assert data[29:30] == b"{" and len(data) == 29 + length + sum(a.nbytes for a in ARRAYS.values()) + 32
+
+
+def sealed(path: Path, content: bytes, magic: bytes = module._MAGIC) -> None:
+    """Write ``content`` as a checkpoint whose checksum holds."""
+    data = magic + content
+    path.write_bytes(data + hashlib.blake2b(data, digest_size=32).digest())
+
+
+def test_another_format_is_named(path: Path) -> None:
+    sealed(path, path.read_bytes()[21:-32], b"warpdef checkpoint 1\n")
+    with pytest.raises(InputError, match=f"expected a checkpoint of format {module.FORMAT}, got format 1, of another"):
+        read_checkpoint(path)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        b"{",
+        b"[]",
+        b"{}",
+        b'{"facts": 1, "arrays": []}',
+        b'{"facts": {}, "arrays": 3}',
+        b'{"facts": {}, "arrays": [["a", "<f4"]]}',
+        b'{"facts": {}, "arrays": [["a", "|O", [1]]]}',
+        b'{"facts": {}, "arrays": [["a", "<f4", [-1]]]}',
+        b'{"facts": {}, "arrays": [["a", "<f4", [99999999999999]]]}',
+        b'{"facts": {}, "arrays": [["a", "<f4", ["1"]]]}',
+        b'{"facts": {}, "arrays": [["a", "<f4", [1]]]}',  # and the bytes of another after it
+        b"[" * 5000,
+    ],
+)
+def test_a_foreign_header_is_refused_in_one_sentence(header: bytes, path: Path) -> None:
+    sealed(path, len(header).to_bytes(8, "little") + header + bytes(8))
+    with pytest.raises(InputError, match="a checkpoint of another warpdef: .*; go on with the one that began the run"):
+        read_checkpoint(path)

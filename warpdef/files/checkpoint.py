@@ -1,6 +1,6 @@
 """A run's state on disk: written whole or not at all, and believed only if its checksum holds.
 
-    warpdef checkpoint 1\\n, length of the header (8 bytes), header (JSON), arrays (raw), BLAKE2b of all that (32 bytes)
+    warpdef checkpoint FORMAT\\n, length of the header (8 bytes), header (JSON), arrays (raw), BLAKE2b of it all (32)
 
 The header holds the run's facts and the name, type and shape of every array, in order. Nothing in it is ever executed.
 """
@@ -11,17 +11,23 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from warpdef.errors import InputError
-from warpdef.files.disk import must_exist, read_bytes, replacing
+from warpdef.errors import InputError, WarpdefError
+from warpdef.files.disk import must_exist, read_bytes, reason, replacing
 
-_MAGIC = b"warpdef checkpoint 1\n"
+FORMAT = 2
+"""Raise it with every change of what a run keeps: a fact or array that is new, gone, renamed, or of another meaning."""
+
+_BEGIN = re.compile(rb"warpdef checkpoint ([0-9]{1,9})\n")
+_MAGIC = b"warpdef checkpoint %d\n" % FORMAT
 _DIGEST = 32
 _TYPES = ("<f4", "<f8", "<i4", "<i8")
 
@@ -84,24 +90,57 @@ def read_checkpoint(path: Path | str) -> Checkpoint:
     """Read a checkpoint back.
 
     Raises:
-        InputError: missing, not a checkpoint of this version of the format, truncated, or damaged.
+        InputError: missing, not a checkpoint, of another format, truncated, or damaged.
     """
     path = Path(path)
     must_exist(path)
     data = read_bytes(path)
-    begin = len(_MAGIC) + 8
-    if not data.startswith(_MAGIC):
+    begun = _BEGIN.match(data)
+    if not begun:
         raise InputError(f"{path}: expected a checkpoint of this warpdef, got something else; start the run anew")
     if hashlib.blake2b(data[:-_DIGEST], digest_size=_DIGEST).digest() != data[-_DIGEST:]:
         raise InputError(f"{path}: the checksum does not hold: truncated or damaged; start the run anew")
+    if int(begun[1]) != FORMAT:
+        raise InputError(
+            f"{path}: expected a checkpoint of format {FORMAT}, got format {int(begun[1])}, of another warpdef; go on "
+            "with the one that began the run, or start it anew"
+        )
+    with understood(path):
+        return _parsed(data, path)
+
+
+@contextmanager
+def understood(path: Path) -> Iterator[None]:
+    """Refuse, in one sentence, what is whole but has another content than its reader expects.
+
+    Raises:
+        InputError: the block raised what comes of a missing, superfluous or unlike value.
+    """
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        if isinstance(error, WarpdefError) and str(path) in str(error):
+            raise
+        raise InputError(
+            f"{path}: a checkpoint of another warpdef: {type(error).__name__} ({reason(error):.120}); go on with the "
+            "one that began the run, or start it anew"
+        ) from None
+
+
+def _parsed(data: bytes, path: Path) -> Checkpoint:
+    begin = len(_MAGIC) + 8
     length = int.from_bytes(data[len(_MAGIC) : begin], "little")
     header = json.loads(data[begin : begin + length])
     arrays, offset = {}, begin + length
     for name, kind, shape in header["arrays"]:
+        if kind not in _TYPES or any(type(n) is not int or n < 0 for n in shape):
+            raise ValueError(f"array {name!r:.40} of type {kind!r:.20} and shape {shape!r:.40}")
         count = math.prod(shape)
         arrays[name] = np.frombuffer(data, dtype=kind, count=count, offset=offset).reshape(shape)
         offset += arrays[name].nbytes
-    return Checkpoint(header["facts"], arrays, path)
+    if offset != len(data) - _DIGEST:
+        raise ValueError(f"arrays end at byte {offset} of {len(data) - _DIGEST}")
+    return Checkpoint(dict(header["facts"]), arrays, path)
 
 
 def digests(points: Sequence[np.ndarray], normals: Sequence[np.ndarray | None]) -> list[str]:

@@ -14,11 +14,11 @@ from typing import Any
 import warp as wp
 
 from warpdef.errors import WarpdefError
+from warpdef.files.checkpoint import understood
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.outward import follow_outwards
 from warpdef.fit.refine import Refinement
 from warpdef.fit.saving import Saved, Saver
-from warpdef.fit.sobolev import SolveReport
 from warpdef.kernels.finite import flag_not_finite
 from warpdef.progress import Callback, Limits, Progress
 
@@ -185,18 +185,30 @@ class FitRun:
             self._warn(trouble)
 
     def restore(self, saved: Saved) -> None:
-        """Go on from a checkpoint of a run on the same problem."""
-        facts = saved.facts
-        self.optimiser.restore(saved.part("grids"), facts["rate_scale"])
+        """Go on from a checkpoint of a run on the same problem.
+
+        Raises:
+            InputError: its state is not one of this problem.
+        """
+        facts, o, r = saved.facts, self.optimiser, self.refinement
         self.steps, self._undone = list(facts["steps"]), facts["undone"]
         self.warnings = [*facts["warnings"], *saved.warnings()]
-        self.followed = list(facts.get("followed", ()))
-        for stage, solves in zip((self.optimiser, self.refinement), facts["solves"], strict=False):
-            if stage is not None:
-                stage.solves = SolveReport(**solves)
-        if facts["rounds"] is not None and self.refinement is not None:
-            self.refinement.restore(saved.part("refine"), facts["rounds"])
-            self._refining = True
+        self.followed = list(facts["followed"])
+        with understood(saved.path):
+            o.restore(saved.part("grids"), facts["rate_scale"])
+            if not 0 <= o.done <= o.iterations:
+                raise ValueError(f"iteration {o.done} of {o.iterations}")
+            stages = [stage for stage in (o, r) if stage is not None]
+            for stage, solves in zip(stages, facts["solves"], strict=True):
+                stage.solves = solves
+            if facts["rounds"] is not None:
+                if r is None or not 0 <= facts["rounds"] <= r.config.iterations:
+                    raise ValueError(f"round {facts['rounds']}")
+                state = saved.part("refine")
+                if {n: a.shape for n, a in state.items()} != {n: a.numpy().shape for n, a in r.state().items()}:
+                    raise ValueError("expected the state of the same problem")
+                r.restore(state, facts["rounds"])
+                self._refining = True
 
     def _warn(self, message: str) -> None:
         self.warnings.append(message)

@@ -3,26 +3,43 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
 import warpdef
 from warpdef.config import Config
 from warpdef.errors import InputError
-from warpdef.files.checkpoint import Checkpoint, digests, read_checkpoint, write_checkpoint
+from warpdef.files.checkpoint import Checkpoint, digests, read_checkpoint, understood, write_checkpoint
 from warpdef.files.config_file import config_from_mapping
+from warpdef.files.plain import from_plain
+from warpdef.fit.sobolev import SolveReport
 from warpdef.mesh import TriMesh
 from warpdef.progress import Clock
 from warpdef.sequence import PointSequence
-from warpdef.template.build import TemplateReport
 from warpdef.template.choose import ChosenTemplate
-from warpdef.template.quality import GateReport
 
 _SHARE = 0.05  # of the time that writing may take
+_FACTS = {
+    "version": str,
+    "config": dict[str, Any],
+    "notes": dict[str, str],
+    "digests": list[str],
+    "resumed": list[int],
+    "template": dict[str, Any],
+    "seconds": dict[str, float],
+    "iteration": int,
+    "rate_scale": float,
+    "undone": int,
+    "rounds": int | None,
+    "steps": list[dict[str, float]],
+    "warnings": list[str],
+    "followed": list[int],
+    "solves": list[SolveReport],
+}
 
 
 class Saver:
@@ -76,18 +93,17 @@ class Saved:
 
     def __init__(self, source: Checkpoint | Path | str) -> None:
         checkpoint = source if isinstance(source, Checkpoint) else read_checkpoint(source)
-        self.path, self.facts, self.part = checkpoint.path, checkpoint.facts, checkpoint.part
+        self.path, self.part = checkpoint.path, checkpoint.part
+        with understood(self.path):
+            told = {name: from_plain(kind, checkpoint.facts[name], name) for name, kind in _FACTS.items()}
+            self.facts: dict[str, Any] = {**checkpoint.facts, **told}
+            self.vertex_count = len(self.part("template")["vertices"])
         self.config: Config = config_from_mapping(self.facts["config"], source=str(self.path))
 
     @property
     def iteration(self) -> int:
         """Iterations of the grid stage done."""
         return self.facts["iteration"]
-
-    @property
-    def vertex_count(self) -> int:
-        """Vertices of the template."""
-        return len(self.part("template")["vertices"])
 
     def warnings(self) -> list[str]:
         """Why the bits may differ from those of an unbroken run."""
@@ -114,27 +130,28 @@ class Saved:
                 f"{len(other)} of {len(ours)} frames: {shown}; give it the same input, or start anew"
             )
 
-    def template(self, given: TriMesh | None = None) -> ChosenTemplate:
+    def template(self, given: TriMesh | None, frames: Sequence[int]) -> ChosenTemplate:
         """The template chosen by that run.
 
         Args:
             given: a mesh of the user's own, cube units, which must be the one that the run began with.
+            frames: numbers of the frames that are used, among which its keyframe must be.
 
         Raises:
-            InputError: it is another.
+            InputError: it is another, or not that of a run on these frames.
         """
-        told, mesh = self.facts["template"], self.part("template")
-        gate = GateReport(**{**told["gate"], "failures": tuple(told["gate"]["failures"])})
-        made = {
-            "mesh": TriMesh(mesh["vertices"], mesh["faces"]),
-            "report": TemplateReport(**told["report"]),
-            "gate": gate,
-        }
+        with understood(self.path):
+            told, arrays = dict(self.facts["template"]), self.part("template")
+            mesh = TriMesh(arrays["vertices"], arrays["faces"])
+            hints = {name: kind for name, kind in get_type_hints(ChosenTemplate).items() if name != "mesh"}
+            chosen = ChosenTemplate(mesh, **{name: from_plain(hints[name], v, name) for name, v in told.items()})
+            if chosen.keyframe not in frames:
+                raise ValueError(f"keyframe {chosen.keyframe}")
         if given is not None and not (
-            np.array_equal(given.vertices, mesh["vertices"]) and np.array_equal(given.faces, mesh["faces"])
+            np.array_equal(given.vertices, mesh.vertices) and np.array_equal(given.faces, mesh.faces)
         ):
             raise InputError(f"{self.path}: the template given is not that of the run to continue; give it the same")
-        return ChosenTemplate(**{**told, **made})
+        return chosen
 
 
 def lasting_facts(
