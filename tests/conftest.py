@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 def _devices() -> list[str]:
     # The test run prints its own report; Warp's start-up lines and module notes would bury it.
-    wp.config.quiet = True
+    wp.config.log_level = logging.WARNING
     wp.init()
     return ["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"]
 

@@ -23,7 +23,7 @@ from warpdef.apps.main import COMMANDS, build_app
 if sys.version_info >= (3, 11):
     import tomllib
 else:
-    import tomli as tomllib
+    import tomli as tomllib  # pyright: ignore[reportMissingImports] - installed with Python 3.10 alone
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -64,7 +64,7 @@ def write_ball(folder: Path, name: str = "ball", frames: int = 6) -> Path:
     ball = trimesh.creation.icosphere(3)
     moved = [ball.vertices * [1.0 + 0.05 * t, 1.0, 1.0] for t in range(frames)]
     (folder / name).mkdir(parents=True)
-    np.savez(folder / name / "gt.npz", vertices=np.float32(moved), faces=np.int32(ball.faces))
+    np.savez(folder / name / "gt.npz", vertices=np.array(moved, dtype=np.float32), faces=ball.faces.astype(np.int32))
     return folder
 
 

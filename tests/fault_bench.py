@@ -10,9 +10,10 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -166,8 +167,8 @@ class Bench:
             saving._SHARE = 1e9  # however slow the disk, one at every look
             save, left = Saver.save, [count]
 
-            def last_save(self: Saver, *state) -> str:
-                told = save(self, *state)
+            def last_save(self: Saver, facts: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
+                told = save(self, facts, arrays)
                 left[0] -= 1
                 if not left[0]:
                     os.kill(os.getpid(), signal.SIGKILL)

@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import warp as wp
+
+
+def gradient_of(variable: wp.array) -> np.ndarray:
+    """What Warp's automatic differentiation has left in a variable made with ``requires_grad``."""
+    assert variable.grad is not None
+    return variable.grad.numpy()
 
 
 def assert_gradients_close(

@@ -193,7 +193,7 @@ class Trial:
         arguments = [word.format(**words) for word in sample.arguments]
         code, problem = None, ""
         start, base = time.perf_counter(), reset_peak()
-        with _captured(self.folder / "said") as said, contextlib.chdir(self.folder) if _CHDIR else _moved(self.folder):
+        with _captured(self.folder / "said") as said, _moved(self.folder):
             try:
                 code = _command(arguments)
             except TimeoutError:
@@ -223,9 +223,6 @@ class Trial:
         for name in {p.split("/")[0] for p in left} | {"out", "out.npz", TRAP}:
             _remove(self.folder / name)
         return Outcome(sample.name, how, code, seconds, grown, problem, words_said)
-
-
-_CHDIR = hasattr(contextlib, "chdir")
 
 
 def _command(arguments: list[str]) -> int:
@@ -347,7 +344,7 @@ def run_tries(seed: int, indices: range) -> Iterator[tuple[int, Outcome]]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=10_000, help="tries")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2)

@@ -258,7 +258,9 @@ class Scene:
         return (s, s + 1) if s >= self.keyframe else (s + 1, s)
 
     def reach_of_moved(self, s: int) -> tuple[float, float]:
-        return (np.inf, np.inf) if self.moved_reach is None else (self.moved_reach[s], self.met_reach[s])
+        if self.moved_reach is None or self.met_reach is None:
+            return np.inf, np.inf
+        return self.moved_reach[s], self.met_reach[s]
 
     def reach_of_vertices(self, t: int) -> float:
         return np.inf if self.vertex_reach is None else self.vertex_reach[t]

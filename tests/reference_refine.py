@@ -5,6 +5,7 @@ Meshes come as undirected edges (E, 2), each once. T frames, V vertices: x (T, V
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,7 +95,7 @@ class Planes:
         return matrix, pull
 
 
-def planes(x, m, q, n, owner, reach, agreement: float, share: float = 1.0, mutual=1.0) -> Planes:
+def planes(x, m, q, n, owner, reach, agreement: float, share: float = 1.0, mutual: np.ndarray | float = 1.0) -> Planes:
     """Pairs of vertices x with normals m and cloud points q with normals n, all (P, 3). reach: a number or (P,).
 
     share: how much n counts in the common normal. mutual: a further weight of each pair, (P,).
@@ -133,7 +134,7 @@ def border_planes(pairs: Planes, b: np.ndarray, offset: np.ndarray, stiffness: f
     return Planes(pairs.owner, np.where(counts[:, None], b, 0.0), stiffness * pairs.w, along - gap)
 
 
-def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
+def turn_about(axis: Sequence[float] | np.ndarray, angle: float) -> np.ndarray:
     """Rotation by Rodrigues' formula."""
     k = reference.cross_matrix(np.asarray(axis, float) / np.linalg.norm(axis))
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k

@@ -98,8 +98,10 @@ class Run:
     ) -> None:
         config = Config()
         config = replace(config, grid=replace(config.grid, levels=2), refine=replace(config.refine, **refine))
-        surface = [scene.clouds, normals or scene.normals, vertices[keyframe], scene.faces, keyframe, config]
-        self.problem = p = Problem(*surface, wp.get_device(device), oriented)
+        normals, on = normals or scene.normals, wp.get_device(device)
+        self.problem = p = Problem(
+            scene.clouds, normals, vertices[keyframe], scene.faces, keyframe, config, on, oriented
+        )
         team = Team(threads)
         try:
             # The stage takes over where the grids end; here they never began.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -66,7 +67,7 @@ def sample_surface(
     return points, normal[chosen] / area[chosen, None]
 
 
-def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
+def turn_about(axis: Sequence[float] | np.ndarray, angle: float) -> np.ndarray:
     """Rotation matrix by Rodrigues' formula."""
     x, y, z = np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)
     k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from present import look_of, present
 from synthetic import icosphere
+from trimesh.visual import TextureVisuals
 
 from warpdef.appearance import Appearance, split_seams
 from warpdef.apps.main import run
@@ -65,8 +68,8 @@ def ply(form: str, color: str, names: str = "s t", wedges: bool = False) -> byte
 def test_ply(tmp_path, form, color, names):
     (tmp_path / "a.ply").write_bytes(ply(form, color, names))
     mesh = read_mesh(tmp_path / "a.ply")
-    np.testing.assert_array_equal(mesh.appearance.colors, COLORS[:, :3])
-    np.testing.assert_array_equal(mesh.appearance.uv, UV)
+    np.testing.assert_array_equal(present(mesh.appearance).colors, COLORS[:, :3])
+    np.testing.assert_array_equal(present(mesh.appearance).uv, UV)
     np.testing.assert_array_equal(mesh.faces, FACES)
 
 
@@ -77,12 +80,12 @@ def test_dark_bytes_in_ascii_are_bytes(tmp_path):
     lines += ["element face 1", "property list uchar int vertex_indices", "end_header"]
     lines += ["0 0 0 1 0 0", "1 0 0 0 1 0", "0 1 0 0 0 1", "3 0 1 2"]
     (tmp_path / "a.ply").write_text("\n".join(lines))
-    np.testing.assert_array_equal(read_mesh(tmp_path / "a.ply").appearance.colors, np.eye(3))
+    np.testing.assert_array_equal(look_of(tmp_path / "a.ply").colors, np.eye(3))
 
 
 def test_ply_with_texture_places_by_corner(tmp_path):
     (tmp_path / "a.ply").write_bytes(ply("binary_little_endian", "uchar", "", wedges=True))
-    look = read_mesh(tmp_path / "a.ply").appearance
+    look = look_of(tmp_path / "a.ply")
     assert look.uv is None
     np.testing.assert_array_equal(look.corner_uv, CORNER_UV)
 
@@ -90,14 +93,14 @@ def test_ply_with_texture_places_by_corner(tmp_path):
 def test_meshes_of_others(tmp_path):
     mesh = trimesh.Trimesh(VERTICES, FACES, vertex_colors=COLORS, process=False)
     mesh.export(tmp_path / "a.ply")
-    np.testing.assert_array_equal(read_mesh(tmp_path / "a.ply").appearance.colors, COLORS)
+    np.testing.assert_array_equal(look_of(tmp_path / "a.ply").colors, COLORS)
     trimesh.Trimesh(VERTICES, FACES, process=False).export(tmp_path / "plain.ply")
     assert read_mesh(tmp_path / "plain.ply").appearance is None
     mesh.export(tmp_path / "a.obj")
-    np.testing.assert_array_equal(read_mesh(tmp_path / "a.obj").appearance.colors, COLORS[:, :3])
-    textured = trimesh.Trimesh(VERTICES, FACES, process=False, visual=trimesh.visual.TextureVisuals(uv=UV))
+    np.testing.assert_array_equal(look_of(tmp_path / "a.obj").colors, COLORS[:, :3])
+    textured = trimesh.Trimesh(VERTICES, FACES, process=False, visual=TextureVisuals(uv=UV))
     textured.export(tmp_path / "b.obj")
-    np.testing.assert_allclose(read_mesh(tmp_path / "b.obj").appearance.uv, UV, atol=1e-7)
+    np.testing.assert_allclose(present(look_of(tmp_path / "b.obj").uv), UV, atol=1e-7)
 
 
 def test_obj_without_all_texture_places(tmp_path):
@@ -136,11 +139,11 @@ def test_through_a_run_folder_to_an_export(result, tmp_path):
     np.testing.assert_array_equal(look.corner_uv, CORNER_UV)
     animation = load_animation(result)
     np.testing.assert_array_equal(animation.vertices[:, :COUNT], MOVING)
-    np.testing.assert_array_equal(animation.uv[animation.faces], CORNER_UV)
+    np.testing.assert_array_equal(present(animation.uv)[animation.faces], CORNER_UV)
     export(animation, tmp_path / "a.ply")
     again = read_geometry(tmp_path / "a.ply" / "0001.ply")
-    np.testing.assert_array_equal(again.colors[:COUNT], COLORS)
-    np.testing.assert_array_equal(again.uv[again.faces], CORNER_UV)
+    np.testing.assert_array_equal(present(again.colors)[:COUNT], COLORS)
+    np.testing.assert_array_equal(present(again.uv)[present(again.faces)], CORNER_UV)
 
 
 def test_normals_given_are_written(tmp_path):
@@ -148,15 +151,15 @@ def test_normals_given_are_written(tmp_path):
     look = Appearance(COLORS, UV)
     animation = dress(MOVING, FACES, look, normals, up="z")
     export(animation, tmp_path / "a.ply")
-    np.testing.assert_allclose(read_geometry(tmp_path / "a.ply" / "0001.ply").normals, -VERTICES, atol=1e-6)
+    np.testing.assert_allclose(present(read_geometry(tmp_path / "a.ply" / "0001.ply").normals), -VERTICES, atol=1e-6)
     for uv in (UV, None):
         export(dress(MOVING, FACES, Appearance(None, uv), normals), tmp_path / "a.obj", overwrite=True)
         mesh = read_geometry(tmp_path / "a.obj" / "0001.obj")
-        np.testing.assert_allclose(mesh.normals, -VERTICES, atol=1e-6)
+        np.testing.assert_allclose(present(mesh.normals), -VERTICES, atol=1e-6)
         np.testing.assert_array_equal(mesh.faces, FACES)
-        assert uv is None or np.array_equal(mesh.uv, UV)
+        assert uv is None or np.array_equal(present(mesh.uv), UV)
     export(animation, tmp_path / "a.glb")
-    loaded = trimesh.load(tmp_path / "a.glb", process=False)
+    loaded = trimesh.load_scene(tmp_path / "a.glb", process=False)
     (mesh,) = loaded.geometry.values()
     np.testing.assert_allclose(mesh.vertex_normals, VERTICES, atol=1e-6)
     pyvista = pytest.importorskip("pyvista")
@@ -178,13 +181,14 @@ def test_normals_in_usd(tmp_path):
 
 
 def test_what_does_not_fit():
-    for given, message in (
+    wrong: list[tuple[dict[str, Any], str]] = [
         ({"colors": COLORS[1:]}, "one colour a vertex"),
         ({"colors": COLORS.astype(float)}, "expected uint8"),
         ({"uv": UV[1:]}, "one pair a vertex"),
         ({"corner_uv": CORNER_UV[1:]}, "one pair a corner"),
         ({"uv": UV * np.nan}, "finite"),
-    ):
+    ]
+    for given, message in wrong:
         with pytest.raises(InputError, match=message):
             Appearance.checked(COUNT, len(FACES), **given)
     with pytest.raises(InputError, match="normals: expected finite numbers"):
@@ -193,7 +197,7 @@ def test_what_does_not_fit():
 
 def test_a_damaged_run_folder(result):
     with np.load(result / "sequence.npz") as stored:
-        arrays = dict(stored) | {"vertex_colors": COLORS[1:]}
+        arrays: dict[str, Any] = dict(stored) | {"vertex_colors": COLORS[1:]}
     np.savez(result / "sequence.npz", **arrays)
     with pytest.raises(InputError, match=r"sequence\.npz: vertex colours"):
         load_run(result)

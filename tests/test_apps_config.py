@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 from cyclopts import App, CycloptsError
@@ -152,4 +153,4 @@ def test_values_are_checked_by_the_configuration() -> None:
 
 def test_no_flag_means_no_change() -> None:
     assert resolve_config("default", None, parse()) == Config()
-    assert all(getattr(parse("--seed", "1"), f.name) is None for f in dataclasses.fields(ConfigFlags)[:3])
+    assert all(getattr(parse("--seed", "1"), f.name) is None for f in dataclasses.fields(cast(Any, ConfigFlags))[:3])

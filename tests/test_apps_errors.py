@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,7 +51,9 @@ def truncated(folder: Path) -> Path:
 
 
 def unequal_normals(folder: Path) -> Path:
-    arrays = {f"points_{t:04d}": GOOD[t] for t in range(4)} | {f"normals_{t:04d}": GOOD[t, :29] for t in range(4)}
+    arrays: dict[str, Any] = {f"points_{t:04d}": GOOD[t] for t in range(4)} | {
+        f"normals_{t:04d}": GOOD[t, :29] for t in range(4)
+    }
     np.savez(folder / "clouds.npz", **arrays)
     return folder / "clouds.npz"
 

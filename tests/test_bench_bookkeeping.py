@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from present import present
 
 from warpdef.apps.benchmark.bed import difference
 from warpdef.apps.benchmark.compare import SCHEMA, compare_reports, read_report
@@ -191,8 +193,8 @@ def test_work_has_the_size_asked_for_and_survives_a_file(tmp_path: Path) -> None
 
 def test_the_same_motion_in_more_frames() -> None:
     source = Source("sphere", sphere())
-    more = source.retimed(3, 5).truth.vertices
-    x = source.truth.vertices
+    more = present(source.retimed(3, 5).truth).vertices
+    x = present(source.truth).vertices
     np.testing.assert_allclose(more, [x[0], (x[0] + x[1]) / 2, x[1], (x[1] + x[2]) / 2, x[2]], atol=1e-12)
     assert source.retimed(3, 3) is source
     with pytest.raises(InputError, match="expected at least 9 frames, got 4"):
@@ -211,7 +213,7 @@ def test_a_truth_and_clouds_are_told_apart(tmp_path: Path) -> None:
     mesh = sphere()
     np.savez(tmp_path / "truth.npz", vertices=mesh.vertices, faces=mesh.faces)
     np.savez(tmp_path / "clouds.npz", points=mesh.vertices)
-    assert load_source(tmp_path / "truth.npz", "1:", 17).truth.vertices.shape == (3, *mesh.vertices.shape[1:])
+    assert present(load_source(tmp_path / "truth.npz", "1:", 17).truth).vertices.shape == (3, *mesh.vertices.shape[1:])
     assert load_source(tmp_path / "clouds.npz", "", 17).frames == 4
 
 
@@ -228,7 +230,7 @@ def test_difference_of_answers() -> None:
 def test_arrays_are_counted_once() -> None:
     import warp as wp
 
-    class Holder:
+    class Holder(SimpleNamespace):
         pass
 
     Holder.__module__ = "warpdef.somewhere"

@@ -93,7 +93,7 @@ def test_it_is_the_direct_solution(alpha, beta, graph, system, device: str, step
     assert (solve.told <= 1e-5).all() and (solve.iterations > 1).all()
     for t in range(FRAMES):
         m = matrix_of(graph, matrix[t], alpha, beta)
-        expected = spsolve(m.tocsc(), rhs[t].ravel().astype(np.float64)).reshape(-1, 3)
+        expected = np.asarray(spsolve(m.tocsc(), rhs[t].ravel().astype(np.float64))).reshape(-1, 3)
         # |x - x*| <= |M^-1| |r|, and the smallest eigenvalue of M is beta at least.
         bound = 2e-5 * np.linalg.norm(rhs[t]) / beta
         assert np.linalg.norm(solution[t] - expected) <= bound

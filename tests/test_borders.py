@@ -8,7 +8,7 @@ import reference
 import reference_refine as twin
 import warp as wp
 import witness_refine
-from gradients import assert_gradients_close, finite_differences
+from gradients import assert_gradients_close, finite_differences, gradient_of
 from test_planes import Scene, put, spans
 
 from warpdef.fit.refine import _BORDER_GAP
@@ -87,7 +87,7 @@ def test_the_pull_matches_autodiff(edge: Edge, way: str) -> None:
     with wp.Tape() as tape:
         wp.launch(witness_refine.plane_pairs, len(planes.w), inputs=[move, *held, loss], device=on)
     tape.backward(loss)
-    assert_gradients_close(edge.run(way)[1], -0.5 * move.grad.numpy())
+    assert_gradients_close(edge.run(way)[1], -0.5 * gradient_of(move))
 
 
 def test_it_adds_and_spans_are_the_whole(edge: Edge, way: str) -> None:
@@ -117,17 +117,18 @@ def test_a_straight_edge_is_found_where_the_points_end(device: str, rng: np.rand
     k, line = np.arange(count), np.linspace(-4, 4, count)
     around = np.column_stack([np.maximum(k - 1, 0), np.minimum(k + 1, count - 1), k + count])
     edge.border, edge.count = np.concatenate([around, np.full((count, 3), -1)]), 2 * count
-    edge.q, edge.m, edge.n = cloud, np.tile([0, 0, 1], (2 * count, 1)), np.tile([0, 0, 1], (points, 1))
+    up = np.array([0, 0, 1], dtype=np.float32)
+    edge.q, edge.m, edge.n = cloud.astype(np.float32), np.tile(up, (2 * count, 1)), np.tile(up, (points, 1))
     edge.frame = {"met": np.zeros(2 * count), "asked": np.zeros(points)}
     edge.reach, edge.mutual_reach, edge.gap = np.array([10.0]), np.array([np.inf]), np.array([_BORDER_GAP * spacing])
     moves = []
     for height in (-3 * spacing, 0.0, 3 * spacing):
         flat = np.column_stack([line, np.full(count, height), np.zeros(count)])
-        edge.x = np.concatenate([flat, flat - [0, 2 * spacing, 0]])
+        edge.x = np.concatenate([flat, flat - [0, 2 * spacing, 0]]).astype(np.float32)
         pairs = {"met": reference.nearest(edge.x, cloud), "asked": reference.nearest(cloud, edge.x)}
         edge.index = pairs
         sums = [edge.run(way) for way in pairs]
-        matrix, pull = (sum(s[i][:count].sum(axis=0) for s in sums) for i in (0, 1))
+        matrix, pull = (np.sum([s[i][:count].sum(axis=0) for s in sums], axis=0) for i in (0, 1))
         moves.append(pull[1] / matrix[1, 1])
     # The depth of the nearest point spreads by sqrt(1 / pi - 0.45^2) / sqrt(density), 0.68 spacings, and is another one
     # every 1 / sqrt(density) of the line's 8.

@@ -59,8 +59,8 @@ def test_what_does_not_compile_fails(tmp_path: Path) -> None:
     def broken() -> float: ...
 
     @wp.kernel(module="unique", enable_backward=False)
-    def use_it(out: wp.array(dtype=wp.float32)):
-        out[wp.tid()] = broken()
+    def use_it(out: wp.array[wp.float32]):
+        out[wp.tid()] = broken()  # pyright: ignore[reportIndexIssue] - Warp compiles this line
 
     with pytest.raises(Exception, match="(?i)cuda kernel build failed|nvrtc|compil"):
         compile_for_cuda(use_it.module, tmp_path)

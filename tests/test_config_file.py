@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, fields, is_dataclass, replace
-from typing import Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
 
 import pytest
 
@@ -22,7 +22,7 @@ def altered(config: Config) -> list[Config]:
         for g in fields(group) if is_dataclass(group) else [f]:
             for value in candidates(get_type_hints(type(owner))[g.name], getattr(owner, g.name), g.name):
                 try:
-                    new = replace(owner, **{g.name: value})
+                    new = replace(cast(Any, owner), **{g.name: value})  # a group, or the whole
                     made.append(replace(config, **{f.name: new}) if is_dataclass(group) else new)
                 except ConfigError:
                     continue

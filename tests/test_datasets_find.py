@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from present import present
 from true_sets import FACES, moving, write_anime, write_dynosurf, write_obj, write_objs, write_registrations
 
 from warpdef.datasets import find_sequences
@@ -14,6 +15,7 @@ from warpdef.datasets.find import survey
 from warpdef.datasets.truth import read_truth
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.files import read_clouds
+from warpdef.mesh import MeshSequence
 
 
 def facts(path: Path) -> list[tuple]:
@@ -42,7 +44,7 @@ def test_our_own_archives(tmp_path: Path) -> None:
     points = np.random.default_rng(0).normal(size=(4, 20, 3))
     np.savez(tmp_path / "crane" / "points.npz", points=points)
     (sequence,) = find_sequences(tmp_path)
-    np.testing.assert_array_equal(read_clouds(sequence.clouds).points, points)
+    np.testing.assert_array_equal(read_clouds(present(sequence.clouds)).points, points)
 
 
 def test_plain_folders_with_unpadded_numbers(tmp_path: Path) -> None:
@@ -65,7 +67,7 @@ def test_dynosurfs_layout(tmp_path: Path, clouds: str) -> None:
     assert facts(tmp_path) == facts(tmp_path / "AMA" / "crane_0010") == [("crane_0010", "dynosurf", 4, 4, 4)]
     (sequence,) = find_sequences(tmp_path)
     assert sequence.clouds == tmp_path / "AMA" / "crane_0010" / clouds  # the input before the dense samples
-    assert len(read_clouds(sequence.clouds)) == 4
+    assert len(read_clouds(present(sequence.clouds))) == 4
     assert_reads(tmp_path, moving(), rtol=1e-6)
     assert survey(tmp_path).passed == []  # clouds beside gt are no puzzle
 
@@ -107,6 +109,7 @@ def test_an_hdf5_file_with_one_sequence_needs_no_name(tmp_path: Path) -> None:
     pytest.importorskip("h5py")
     write_registrations(tmp_path / "a.h5", {"only": moving().astype(np.float64)})
     found = read_truth(tmp_path / "a.h5")
+    assert isinstance(found, MeshSequence)
     np.testing.assert_array_equal(found.vertices, moving())
     assert found.vertices.dtype == np.float64
 

@@ -31,7 +31,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
 
 @pytest.fixture(scope="module")
 def expected(runs: list[Run]) -> dict[str, Any]:
-    return {run.key: result["frames"] for run, result in here("cpu", 1)(runs)}
+    return {run.key: result["frames"] for run, result in here("cpu", 1)(runs) if not isinstance(result, Exception)}
 
 
 def kill_a_busy_worker(address: str, killed: list[str]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from present import present
 from synthetic import bending_bar
 
 from warpdef import export as export_module
@@ -75,7 +76,7 @@ def test_bones_and_precision_are_reported(result, place, capfd):
     assert re.match(r"warpdef: rig of 3 bones: the mesh is [0-9.]+ % of its extent away on average, [0-9.]+ % at", err)
     assert run(["export", str(result), str(place / "b.glb")]) == 0
     out, err = capfd.readouterr()
-    step = float(re.search(r"positions are multiples of (\S+) \(--precise", out)[1])
+    step = float(present(re.search(r"positions are multiples of (\S+) \(--precise", out))[1])
     assert step == pytest.approx(quantisation(VERTICES)[1], rel=0.1) and not err
     assert run(["export", str(result), str(place / "c.glb"), "--precise", "--slow", "25"]) == 0
     out, err = capfd.readouterr()

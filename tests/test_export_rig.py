@@ -65,7 +65,7 @@ def test_quantised_is_small(tmp_path):
 
 def test_normals_that_turn_about():
     rng = np.random.default_rng(0)
-    axes = np.concatenate([np.eye(3), -np.eye(3), Rotation.random(500, random_state=1).as_matrix()[:, 0]])
+    axes = np.concatenate([np.eye(3), -np.eye(3), Rotation.random(500, np.random.default_rng(1)).as_matrix()[:, 0]])
     base = np.rint(axes * 0.995 * 32767).astype(np.int16)
     for normals in (-axes, axes[rng.permutation(len(axes))], axes):
         offset = normal_offsets(base, normals)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from glb_reader import Glb
+from present import present
 from synthetic import bending_bar
 from view_samples import BAR as VIEWED
 from view_samples import save_run
@@ -154,8 +155,10 @@ def test_a_run_is_exported_and_viewed_near_its_origin(tmp_path):
     shown = {pane.title: pane for pane in content.panes}
     here = animation.origin - AWAY
     for title in ("reconstruction", "truth"):
-        drawn = shown[title].surface(3)[0].astype(np.float32)
+        drawn = present(shown[title].surface(3))[0].astype(np.float32)
         np.testing.assert_allclose(drawn, VIEWED.vertices[3] - here, atol=CLOSE)
-    np.testing.assert_allclose(shown["input"].clouds[2].astype(np.float32), VIEWED.clouds[2] - here, atol=CLOSE)
+    np.testing.assert_allclose(
+        present(shown["input"].clouds)[2].astype(np.float32), VIEWED.clouds[2] - here, atol=CLOSE
+    )
     # Of points to the mesh, not the steps of float32.
-    assert np.nanmax(shown["reconstruction"].colouring.values("error", 1)) < 1e-3
+    assert np.nanmax(present(shown["reconstruction"].colouring).values("error", 1)) < 1e-3

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 
 from warpdef.errors import InputError
 from warpdef.files import read_clouds, write_clouds_npz
@@ -37,7 +39,7 @@ def ply(points: np.ndarray, normals: np.ndarray | None, form: str, real: str = "
     table = np.zeros(len(points), [(a, kind) for a in axes[:3]] + [("red", "u1")] + [(a, kind) for a in axes[3:]])
     table["red"] = 7
     for i, axis in enumerate(axes):
-        table[axis] = points[:, i] if i < 3 else normals[:, i - 3]
+        table[axis] = points[:, i] if i < 3 else present(normals)[:, i - 3]
     head = "\n".join(header).encode("utf-8")
     if form == "ascii":
         rows = [" ".join(repr(value.item()) for value in row) for row in table]
@@ -70,7 +72,7 @@ def assert_same(sequence: PointSequence, clouds, normals) -> None:
         if normals is None:
             assert sequence.normals[frame] is None
         else:
-            np.testing.assert_allclose(sequence.normals[frame], normals[frame], rtol=0, atol=1e-15)
+            np.testing.assert_allclose(present(sequence.normals[frame]), normals[frame], rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".xyz", ".npy"])
@@ -101,7 +103,7 @@ def test_ply_forms(tmp_path, clouds, normals, form, real, line_end):
     for frame in range(3):
         np.testing.assert_array_equal(sequence.points[frame], clouds[frame].astype(kind))
         np.testing.assert_allclose(
-            sequence.normals[frame], normals[frame], rtol=0, atol=1e-15 if real == "double" else 1e-7
+            present(sequence.normals[frame]), normals[frame], rtol=0, atol=1e-15 if real == "double" else 1e-7
         )
 
 
@@ -156,7 +158,9 @@ def test_written_clouds_are_read_back(tmp_path, clouds, normals, counts, missing
         if given[frame] is None:
             assert again.normals[frame] is None
         else:
-            np.testing.assert_allclose(again.normals[frame], sequence.normals[frame], rtol=0, atol=1e-15)
+            np.testing.assert_allclose(
+                present(again.normals[frame]), present(sequence.normals[frame]), rtol=0, atol=1e-15
+            )
     assert [p.name for p in tmp_path.iterdir()] == ["c.npz"]
 
 
@@ -215,9 +219,10 @@ def unknown_suffix(p: Path) -> Path:
     return p / "a.e57"
 
 
-def npz_of(**arrays):
+def npz_of(**arrays: Any):
     def make(p: Path) -> Path:
-        np.savez(p / "a.npz", **{key: value() if callable(value) else value for key, value in arrays.items()})
+        made: dict[str, Any] = {key: value() if callable(value) else value for key, value in arrays.items()}
+        np.savez(p / "a.npz", **made)
         return p / "a.npz"
 
     return make

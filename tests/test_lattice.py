@@ -21,7 +21,7 @@ from warpdef.template.lattice import (
 
 def cube(nodes: int = 17) -> Lattice:
     """Over [-1, 1]^3."""
-    return Lattice((nodes,) * 3, np.full(3, -1.0), 2.0 / (nodes - 1))
+    return Lattice((nodes, nodes, nodes), np.full(3, -1.0), 2.0 / (nodes - 1))
 
 
 def positions(lattice: Lattice) -> np.ndarray:

@@ -28,8 +28,8 @@ CPU = wp.get_device("cpu")
 def allocated() -> int:
     """Bytes of all Warp arrays there are, views counted once."""
     gc.collect()
-    arrays = [a for a in gc.get_objects() if type(a) is wp.array and a.ptr]
-    spans = sorted((a.ptr, a.ptr + a.size * wp.types.type_size_in_bytes(a.dtype)) for a in arrays)
+    arrays = [a for a in gc.get_objects() if type(a) is wp.array]
+    spans = sorted((a.ptr, a.ptr + a.size * wp.types.type_size_in_bytes(a.dtype)) for a in arrays if a.ptr)
     total = end = 0
     for first, last in spans:
         total += max(last - max(first, end), 0)

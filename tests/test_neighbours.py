@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import reference
@@ -26,14 +28,16 @@ def _both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(way, "one_by_one", request.param == "one by one")
 
 
-def search(grid: PointGrid, queries: np.ndarray, group: np.ndarray) -> NearestSearch:
+def search(grid: PointGrid, queries: np.ndarray, group: Sequence[int] | np.ndarray) -> NearestSearch:
     """A search that knows nothing yet."""
     device = grid.points.device
     groups = wp.array(np.asarray(group, dtype=np.int32), dtype=wp.int32, device=device)
-    return NearestSearch(grid, upload(queries, device), groups, **way)
+    return NearestSearch(grid, upload(queries, str(device)), groups, **way)
 
 
-def find(grid: PointGrid, queries: np.ndarray, group: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+def find(
+    grid: PointGrid, queries: np.ndarray, group: Sequence[int] | np.ndarray, start: np.ndarray | None = None
+) -> np.ndarray:
     """Answers from the starts given or from nothing."""
     asked = search(grid, queries, group)
     if start is not None:
@@ -320,7 +324,7 @@ def test_what_is_no_number_does_not_crash(device: str, rng: np.random.Generator)
     found = find(grid, queries, np.zeros(50))
     assert ((found >= 0) & (found < 100)).all()
     sound = np.isfinite(queries).all(axis=1)
-    clean = np.where(np.isfinite(targets).all(axis=1)[:, None], targets, 1e6)
+    clean = np.where(np.isfinite(targets).all(axis=1, keepdims=True), targets, 1e6)
     assert_nearest(queries[sound], clean, found[sound])
 
 

@@ -14,7 +14,7 @@ import witness
 from gradients import along, assert_gradients_close, finite_differences
 
 from warpdef.config import Config
-from warpdef.device import Way, going
+from warpdef.device import Way, going, on_host
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import Problem
 from warpdef.kernels.levels import node8
@@ -95,7 +95,7 @@ class Toy:
         split = p.cloud_offsets[1:-1]
         clouds = np.split(p.cloud.numpy().astype(np.float64), split)
         spacing = np.array([twin_refine.spacing(c) for c in clouds])
-        ends = p.template[p.edges.numpy()]
+        ends = p.template[on_host(p.edges)]
         source, target = p.transitions.source, p.transitions.target
         between = 0.75 * (spacing[source] + spacing[target])
         vertex_reach = spacing + 0.25 * np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean()

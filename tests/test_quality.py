@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from warpdef.geometry.sampling import sample_surface
-from warpdef.quality.assess import Assessment, assess
+from warpdef.quality import assess as quality
+from warpdef.quality.assess import Assessment
 from warpdef.quality.coverage import measure_coverage, noise_level
 from warpdef.quality.frame import FrameQuality
 from warpdef.quality.shape import ReferenceShape, neighbouring_faces, opposite_vertices
@@ -54,6 +56,11 @@ def meshes() -> np.ndarray:
 @pytest.fixture
 def clouds(meshes: np.ndarray) -> list[np.ndarray]:
     return [sample_surface(v, FACES, POINTS, np.random.default_rng(t))[0] for t, v in enumerate(meshes)]
+
+
+def assess(*given: Any, **more: Any) -> Any:
+    """As the library's; the frames here have points, so that every measure of theirs is a number."""
+    return quality.assess(*given, **more)
 
 
 def names(assessment: Assessment) -> list[str]:
@@ -211,7 +218,7 @@ def test_the_thickness_of_a_tube() -> None:
     np.testing.assert_allclose(np.linalg.norm(VERTICES[one] - VERTICES[other], axis=1)[side], 1.0, atol=0.02)
     thin = ReferenceShape(VERTICES, FACES).compare(VERTICES * [1.0, 0.5, 0.5])
     assert thin.thickness == pytest.approx(0.5, abs=0.02) and thin.volume == pytest.approx(0.25)
-    assert thin.thinned > 0.8
+    assert thin.thinned is not None and thin.thinned > 0.8
 
 
 def test_folds_against_the_shapes_own() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,13 @@ def shaken(scene: Scene, rng: np.random.Generator) -> np.ndarray:
 
 def test_rounds_match_the_twin(scene: Scene, shaken: np.ndarray, device: str) -> None:
     """Two, so that the second sees the shape and the rotations of the first; every constant off its default."""
-    values = {"rigidity": 0.2, "damping": 0.03, "reach": 2.5, "agreement": 0.4, "shape_smoothness": 20.0}
+    values: dict[str, Any] = {
+        "rigidity": 0.2,
+        "damping": 0.03,
+        "reach": 2.5,
+        "agreement": 0.4,
+        "shape_smoothness": 20.0,
+    }
     values |= {"clean_thickness": 8.0, "noisy_thickness": 9.0}  # clean, whatever the clouds
     run = Run(scene, shaken, device, 2, keyframe=2, shape_step=1.3, tolerance=1e-6, iterations_max=300, **values)
     c, edges = run.stage.config, unique_edges(scene.faces)

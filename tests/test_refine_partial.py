@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from present import present
 from refine_samples import AXES, Run, Scene, mean_square
 
 
@@ -86,7 +87,7 @@ def test_an_open_mesh_ends_where_the_points_end(size: float, device: str, rng: n
     body = np.column_stack([flat, -np.cos(angle)]) * AXES
     scene = replace(scene, body=body, faces=faces.reshape(-1, 3).astype(np.int32))
     run = Run(scene, scene.vertices, device, 20)
-    border = run.problem.border[run.problem.place][:, 0] >= 0
+    border = present(run.problem.border)[run.problem.place][:, 0] >= 0
     assert 30 < border.sum() < 0.3 * len(border)
 
     def height(vertices: np.ndarray) -> float:
@@ -104,7 +105,8 @@ def test_borders_of_a_template(device: str, scene: Scene) -> None:
     low = scene.body[:, 2] < 0.01
     faces = scene.faces[low[scene.faces].all(axis=1)]
     p = Run(replace(scene, faces=faces), scene.vertices, device, 0).problem
-    border, k = p.border, np.flatnonzero(p.border[:, 0] >= 0)
+    border = present(p.border)
+    k = np.flatnonzero(border[:, 0] >= 0)
     edges = {tuple(e) for f in p.faces for e in (f[[0, 1]], f[[1, 2]], f[[2, 0]])}
     alone = {e for e in edges if e[::-1] not in edges}
     assert len(k) == len(alone) > 5

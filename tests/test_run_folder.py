@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from present import present
 
 from warpdef.config import Config, OptimiserConfig
 from warpdef.errors import InputError
@@ -80,7 +81,7 @@ def test_a_result_obeys_the_umask(tmp_path):
 
 def test_the_confidence_comes_back(tmp_path):
     trust = np.arange(48, dtype=np.uint8).reshape(12, 4)
-    found = load_run(save(RunFolder.prepare(tmp_path / "out"), confidence=trust)).confidence
+    found = present(load_run(save(RunFolder.prepare(tmp_path / "out"), confidence=trust)).confidence)
     assert found.dtype == np.uint8 and (found == trust).all()
     assert load_run(save(RunFolder.prepare(tmp_path / "older"))).confidence is None
 

@@ -31,11 +31,12 @@ def test_a_run_of_ten_iterations(cosine: bool, device: str) -> None:
 def run_confidence(loss_input, loss_transform, keyframe, delta, device, enabled=True, mean=False) -> np.ndarray:
     schedule = np.zeros(SCHEDULE_SIZE, dtype=np.float32)
     schedule[DELTA] = delta
-    arrays = [
+    of_input, of_transform = (
         wp.array(np.asarray(a, np.float64), dtype=wp.float64, device=device) for a in (loss_input, loss_transform)
-    ]
+    )
+    now = wp.array(schedule, dtype=wp.float32, device=device)
     found = wp.full(len(loss_transform), np.nan, dtype=wp.float32, device=device)
-    confidence(enabled, mean, keyframe, wp.array(schedule, dtype=wp.float32, device=device), *arrays, found)
+    confidence(enabled, mean, keyframe, now, of_input, of_transform, found)
     return found.numpy()
 
 
@@ -66,9 +67,10 @@ def test_off_or_at_the_end_of_the_run_all_frames_count_alike(device: str) -> Non
 def test_template_gradient(follow: bool, device: str, rng: np.random.Generator) -> None:
     chamfer, isometry = rng.normal(size=(2, 3, 4, 3)).astype(np.float32)
     carry = rng.normal(size=(4, 4, 3)).astype(np.float32)
-    arrays = [wp.array(a, dtype=wp.vec3, ndim=2, device=device) for a in (chamfer, isometry, carry)]
+    by_frame = (wp.array(a, dtype=wp.vec3, ndim=2, device=device) for a in (chamfer, isometry, carry))
+    of_chamfer, of_isometry, carried = by_frame
     found = wp.zeros(4, dtype=wp.vec3, device=device)
-    template_gradient(1, follow, *arrays, found)
+    template_gradient(1, follow, of_chamfer, of_isometry, carried, found)
     expected = chamfer[1] + (isometry[1] + carry[1] + carry[3] if follow else 0)
     np.testing.assert_allclose(found.numpy(), expected, rtol=1e-6)
 

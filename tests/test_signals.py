@@ -7,6 +7,7 @@ import pickle
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -82,7 +83,7 @@ def test_before_there_is_anything_to_keep(name: str, command, tmp_path: Path, mo
 def test_a_result_that_is_being_written_is_written(command, tmp_path: Path, monkeypatch) -> None:
     write = run_folder.write_npz
 
-    def write_and_end(*arguments: object) -> None:
+    def write_and_end(*arguments: Any) -> None:
         monkeypatch.setattr(run_folder, "write_npz", write)  # a second signal would act at once
         os.kill(os.getpid(), signal.SIGTERM)
         write(*arguments)

@@ -19,6 +19,10 @@ from warpdef.template import poisson, quality
 SMALL = TemplateConfig(faces_max=1500)
 
 
+def no_mesh(*_: object) -> poisson.Mesh:
+    return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+
+
 @pytest.fixture(params=["gpytoolbox", "pymeshlab"])
 def backend(request) -> poisson.Backend:
     try:
@@ -120,7 +124,7 @@ def test_depth_follows_the_spacing_and_an_explicit_depth_is_kept(rng):
 
 def test_a_cloud_on_a_line_is_an_input_error(rng):
     line = np.column_stack([np.linspace(-1, 1, 50), np.zeros(50), np.zeros(50)])
-    broken = poisson.Backend("none", lambda *_: (np.zeros((0, 3)), np.zeros((0, 3), np.int32)), lambda *_: None)
+    broken = poisson.Backend("none", no_mesh, no_mesh)
     with pytest.raises(InputError, match="does not look like a closed surface"):
         template.build(line, None, SMALL, broken)
 
@@ -252,7 +256,7 @@ def test_useless_given_normals_give_way_to_estimated_ones(rng):
 
 
 def test_frames_that_yield_nothing_end_in_an_input_error(rng, monkeypatch):
-    nothing = poisson.Backend("none", lambda *_: (np.zeros((0, 3)), np.zeros((0, 3), np.int32)), lambda *_: None)
+    nothing = poisson.Backend("none", no_mesh, no_mesh)
     monkeypatch.setattr(template, "load_backend", lambda name: nothing)
     clouds = [ball(rng)[0] for _ in range(2)]
     with pytest.raises(InputError, match="no template: keyframe .*give a mesh of your own"):

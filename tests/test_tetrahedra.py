@@ -8,7 +8,8 @@ import reference_tetrahedra as twin
 import synthetic
 import warp as wp
 import witness_tetrahedra
-from gradients import assert_gradients_close, finite_differences
+from gradients import assert_gradients_close, finite_differences, gradient_of
+from numpy.typing import ArrayLike
 
 from warpdef.kernels.levels import node8
 from warpdef.kernels.tetrahedra import adj_surface_vertices, part_opposed, surface_vertices
@@ -17,11 +18,11 @@ from warpdef.kernels.winding import winding_numbers
 BOUND = 0.3
 
 
-def vectors(a: np.ndarray, device: str) -> wp.array:
+def vectors(a: ArrayLike, device: str) -> wp.array:
     return wp.array(np.asarray(a, np.float32), dtype=wp.vec3, device=device)
 
 
-def indices(a: np.ndarray, device: str) -> wp.array:
+def indices(a: ArrayLike, device: str) -> wp.array:
     return wp.array(np.asarray(a, np.int32), dtype=wp.int32, device=device)
 
 
@@ -60,7 +61,8 @@ class Grid:
         """(N, 8)."""
         out = wp.array(np.full((len(self.field), 8), start, np.float32), dtype=node8, device=self.device)
         for begin, count in self.spans(cuts):
-            adj_surface_vertices(begin, count, *self.put(), vectors(self.weight, self.device), out)
+            edges, rest, field, bound = self.put()
+            adj_surface_vertices(begin, count, edges, rest, field, bound, vectors(self.weight, self.device), out)
         return out.numpy()
 
 
@@ -117,7 +119,7 @@ def test_adjoint_matches_autodiff(grid: Grid) -> None:
         inputs = [edges, rest, field, bound, vectors(grid.weight, grid.device), loss]
         wp.launch(witness_tetrahedra.weighted_vertices, len(grid.edges), inputs=inputs, device=grid.device)
     tape.backward(loss)
-    assert_gradients_close(grid.adjoint()[:, :4], field.grad.numpy()[:, :4])
+    assert_gradients_close(grid.adjoint()[:, :4], gradient_of(field)[:, :4])
 
 
 def test_the_adjoint_adds_and_spans_are_the_whole(grid: Grid) -> None:
@@ -189,8 +191,8 @@ def run_winding(points, area_normals, places, device: str, cuts=(0,)) -> np.ndar
     out = wp.array(np.full(len(places), np.nan, np.float32), dtype=wp.float32, device=device)
     ends = [*cuts, len(places)]
     for begin, end in zip(ends[:-1], ends[1:], strict=True):
-        arrays = [vectors(a, device) for a in (points, area_normals, places)]
-        winding_numbers(begin, end - begin, *arrays, out)
+        sources, sides, at = (vectors(a, device) for a in (points, area_normals, places))
+        winding_numbers(begin, end - begin, sources, sides, at, out)
     return out.numpy()
 
 

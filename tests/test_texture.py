@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from glb_reader import Glb
+from present import look_of, present
 from texture_samples import COLORS, COUNT, FACES, MOVING, PIXELS, PNG, UV, VERTICES, jpg
 
 from warpdef.appearance import Appearance
@@ -18,7 +20,6 @@ from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.export import export
 from warpdef.export.animation import Animation, dress, load_animation
-from warpdef.files import read_mesh
 from warpdef.files.run_folder import RunFolder
 from warpdef.files.saved_run import load_run
 from warpdef.mesh import MeshSequence
@@ -67,7 +68,7 @@ def test_glb_by_its_specification(tmp_path, kind):
     view = glb.json["bufferViews"][image["bufferView"]]
     assert "target" not in view
     data = glb.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-    assert data == animation(kind).texture.data
+    assert data == present(animation(kind).texture).data
     # Shown as COLOR_0 they would be multiplied with the image.
     attributes = glb.json["meshes"][0]["primitives"][0]["attributes"]
     assert "_COLOR_0" in attributes and "COLOR_0" not in attributes
@@ -93,7 +94,7 @@ def test_by_trimesh(tmp_path, suffix):
 def test_our_own_way_back(tmp_path, suffix):
     """What was exported is a template or a geometry again."""
     export(animation("jpg", COLORS), tmp_path / f"a.{suffix}")
-    look = read_mesh(tmp_path / f"a.{suffix}" / f"0000.{suffix}").appearance
+    look = look_of(tmp_path / f"a.{suffix}" / f"0000.{suffix}")
     assert look.texture == Texture(jpg(), "jpg")
     np.testing.assert_array_equal(look.uv, UV)
     np.testing.assert_array_equal(look.colors, COLORS)
@@ -113,7 +114,8 @@ def usd_image(path: Path) -> tuple[str, bytes]:
     reader = UsdShade.Shader(texture.GetInput("st").GetConnectedSource()[0])
     assert (reader.GetIdAttr().Get(), reader.GetInput("varname").Get()) == ("UsdPrimvarReader_float2", "st")
     asset = texture.GetInput("file").Get()
-    return asset.path, bytes(Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath)).GetBuffer())
+    resolver: Any = Ar.GetResolver()
+    return asset.path, bytes(resolver.OpenAsset(Ar.ResolvedPath(asset.resolvedPath)).GetBuffer())
 
 
 @pytest.mark.parametrize("suffix", ["usd", "usda", "usdc", "usdz"])
@@ -209,12 +211,13 @@ def test_the_whole_way(tmp_path, capsys):
         assert run(["deform", str(out), str(template), "-o", str(tmp_path / f"deformed {kept}.obj")]) == 0
         told = capsys.readouterr().err
         assert ("warpdef: warning:" in told and "goes on without its texture image" in told) == (not kept)
-        look = read_mesh(tmp_path / f"deformed {kept}.obj" / "0002.obj").appearance
+        look = look_of(tmp_path / f"deformed {kept}.obj" / "0002.obj")
         assert (look.texture == Texture(PNG, "png")) == kept
 
 
 def test_a_view_shows_the_image_at_the_vertices(tmp_path):
-    pytest.importorskip("tomli_w"), pytest.importorskip("PIL")
+    pytest.importorskip("tomli_w")
+    pytest.importorskip("PIL")
     uv = np.array([[0.5 / 7, 0.5 / 5], [1.0, 1.0], [0.0, 1.0], [1.5 / 7 - 3.0, 2.5 / 5 + 2.0]], dtype=np.float32)
     expected = PIXELS[[4, 0, 0, 2], [0, 6, 0, 1]]  # rows from the top, v from below
     image = Texture(PNG, "png")
@@ -223,6 +226,6 @@ def test_a_view_shows_the_image_at_the_vertices(tmp_path):
     np.testing.assert_array_equal(shown_colors(Appearance(corner_uv=uv[faces], texture=image), faces, 4), expected)
     assert shown_colors(Appearance(uv=uv, texture=Texture(PNG[:60], "png")), faces, 4) is None
     out = save(tmp_path / "out", look=Appearance(uv=UV, texture=image))
-    assert load_content(out).panes[0].colors.shape == (COUNT, 3)
+    assert present(load_content(out).panes[0].colors).shape == (COUNT, 3)
     out = save(tmp_path / "own", look=Appearance(COLORS, UV, texture=image))
     np.testing.assert_array_equal(load_content(out).panes[0].colors, COLORS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from present import look_of, present
 from texture_samples import COUNT, FACES, PIXELS, PNG, jpg, png
 
 import warpdef.files.texture as texture_room
@@ -50,13 +51,13 @@ FOUND = [
 
 @pytest.mark.parametrize("name", FOUND)
 def test_an_obj_finds_its_image(folder, name):
-    look = read_mesh(write_obj(folder, name)).appearance
+    look = look_of(write_obj(folder, name))
     assert (look.texture, look.notes) == (Texture(PNG, "png"), ())
 
 
 @pytest.mark.parametrize("name", ["wood.png", "C:\\me\\wood.png", "../wood.png", "sub\\..\\wood.png"])
 def test_a_ply_finds_its_image(folder, name):
-    assert read_mesh(write_ply(folder, name)).appearance.texture == Texture(PNG, "png")
+    assert look_of(write_ply(folder, name)).texture == Texture(PNG, "png")
     given = read_geometry(write_ply(folder, name, name))
     assert (given.texture, given.notes) == (Texture(PNG, "png"), ())
 
@@ -70,25 +71,25 @@ def test_names_with_blanks_and_folders(folder):
         ("sub/old oak.png", "sub/b.mtl"),  # counted from the mesh
         ("../sub/old oak.png", "sub/c.mtl"),
     ):
-        assert read_mesh(write_obj(folder, image, library)).appearance.texture is not None, (image, library)
+        assert look_of(write_obj(folder, image, library)).texture is not None, (image, library)
     (folder / "b.mtl").write_text("newmtl other\n")
     path = write_obj(folder, "wood.png")
     path.write_text(path.read_text().replace("a.mtl", "b.mtl a.mtl"))
-    assert read_mesh(path).appearance.texture.data == PNG
+    assert present(look_of(path).texture).data == PNG
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "sub/../../secret.png", "{outside}/secret.png", "..\\secret.png"])
 def test_a_name_leads_nowhere_outside(folder, name):
     name = name.format(outside=folder.parent)
     for path in (write_obj(folder, name), write_ply(folder, name), write_obj(folder, name, "sub/a.mtl")):
-        look = read_mesh(path).appearance
+        look = look_of(path)
         assert look.texture is None
         (note,) = look.notes
         assert note.startswith(f"{path}: goes on without its texture image") and "put the image beside it" in note
     (folder.parent / "a.mtl").write_text("newmtl m\nmap_Kd wood.png\n")
     (folder / "a.obj").write_text(f"mtllib {folder.parent}/a.mtl\nmtllib ../a.mtl\n{TRIANGLE}{FACE}")
     (folder / "a.mtl").unlink()
-    (note,) = read_mesh(folder / "a.obj").appearance.notes
+    (note,) = look_of(folder / "a.obj").notes
     assert "material file" in note
 
 
@@ -112,19 +113,19 @@ def test_what_cannot_be_used_is_told_in_a_line(folder, image, message):
     (folder / "empty.png").touch()
     (folder / "cut.png").write_bytes(PNG[:-9])
     mesh = read_mesh(write_obj(folder, image))
-    assert mesh.appearance.texture is None
-    assert mesh.appearance.uv.shape == (3, 2)
+    assert present(mesh.appearance).texture is None
+    assert present(present(mesh.appearance).uv).shape == (3, 2)
     with pytest.raises(InputError, match=message):
-        raise InputError(*mesh.appearance.notes)
-    assert "\n" not in mesh.appearance.notes[0]
+        raise InputError(*present(mesh.appearance).notes)
+    assert "\n" not in present(mesh.appearance).notes[0]
 
 
 def test_too_large(folder, monkeypatch):
     monkeypatch.setattr(texture_room, "TEXTURE_MAX", len(PNG) - 1)
-    (note,) = read_mesh(write_ply(folder, "wood.png")).appearance.notes
+    (note,) = look_of(write_ply(folder, "wood.png")).notes
     assert "expected at most 0 MiB, got more" in note
     monkeypatch.setattr(texture_room, "_LIBRARY_MAX", 5)
-    (note,) = read_mesh(write_obj(folder, "wood.png")).appearance.notes
+    (note,) = look_of(write_obj(folder, "wood.png")).notes
     assert "material file 'a.mtl': expected at most" in note
 
 
@@ -133,7 +134,7 @@ def test_an_image_that_may_not_be_read(folder, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(texture_room, "_read", refuse)
-    (note,) = read_mesh(write_ply(folder, "wood.png")).appearance.notes
+    (note,) = look_of(write_ply(folder, "wood.png")).notes
     assert "wood.png: cannot be read (Permission denied)" in note
 
 
@@ -151,9 +152,9 @@ def test_materials_that_faces_use_count(folder):
     ):
         path = write_obj(folder, "", body=body)
         (folder / "a.mtl").write_text(library)
-        look = read_mesh(path).appearance
+        look = look_of(path)
         assert (look.texture is not None, len(look.notes)) == {0: (False, 0), 1: (True, 0), 2: (False, 1)}[count], body
-    (note,) = read_mesh(write_ply(folder, "wood.png", "iron.png")).appearance.notes
+    (note,) = look_of(write_ply(folder, "wood.png", "iron.png")).notes
     assert "names 2 images ('wood.png', 'iron.png')" in note
 
 
@@ -170,7 +171,7 @@ def test_frames_of_meshes_leave_images_closed(folder, monkeypatch):
     write_obj(folder, "wood.png").rename(folder / "0.obj")
     monkeypatch.setattr(texture_room, "_read", None)
     (mesh,) = read_mesh_frames(folder)
-    assert (mesh.appearance.texture, mesh.appearance.notes) == (None, ())
+    assert (present(mesh.appearance).texture, present(mesh.appearance).notes) == (None, ())
 
 
 def test_kinds_of_jpeg():

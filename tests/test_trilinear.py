@@ -7,42 +7,11 @@ import pytest
 import reference
 import warp as wp
 import witness
-from gradients import assert_gradients_close, finite_differences
+from gradients import assert_gradients_close, finite_differences, gradient_of
+from witness_functions import sample_points, scatter_points
 
-from warpdef.kernels.launching import MODULE_OPTIONS
 from warpdef.kernels.levels import LevelTable, node8
-from warpdef.kernels.trilinear import adj_sample, sample, sample_jacobian, sample_with_derivative
-
-wp.set_module_options(MODULE_OPTIONS)
-
-
-@wp.kernel
-def sample_points(
-    nodes: wp.array2d(dtype=node8),
-    transition: int,
-    levels: wp.array(dtype=wp.int32),
-    points: wp.array(dtype=wp.vec3),
-    value_out: wp.array(dtype=node8),
-    jacobian_out: wp.array(dtype=sample_jacobian),
-):
-    i = wp.tid()
-    p = points[i]
-    count = levels.shape[0] / 2
-    value_out[i] = sample(nodes, transition, levels, count, p[0], p[1], p[2])
-    jacobian_out[i] = sample_with_derivative(nodes, transition, levels, count, p[0], p[1], p[2])
-
-
-@wp.kernel
-def scatter_points(
-    transition: int,
-    levels: wp.array(dtype=wp.int32),
-    points: wp.array(dtype=wp.vec3),
-    adj_value: wp.array(dtype=node8),
-    adj_nodes_out: wp.array2d(dtype=node8),
-):
-    i = wp.tid()
-    p = points[i]
-    adj_sample(adj_nodes_out, transition, levels, levels.shape[0] / 2, p[0], p[1], p[2], adj_value[i])
+from warpdef.kernels.trilinear import sample_jacobian
 
 
 class Field:
@@ -93,7 +62,7 @@ LEVELS = [(1, 1), (1, 4), (3, 3), (2, 10)]
 
 @pytest.mark.parametrize("levels", LEVELS)
 def test_value_and_derivative_match_the_twin(levels, device: str, rng: np.random.Generator) -> None:
-    field, points = Field(*levels, device, rng), points_in(-1.3, 1.3, 300, rng)
+    field, points = Field(levels[0], levels[1], device, rng), points_in(-1.3, 1.3, 300, rng)
     value, derivative = field.sample(points)
     np.testing.assert_allclose(value, reference.sample(field.values, field.resolution, points), rtol=0, atol=5e-6)
     expected = reference.sample_derivative(field.values, field.resolution, points)
@@ -102,7 +71,7 @@ def test_value_and_derivative_match_the_twin(levels, device: str, rng: np.random
 
 @pytest.mark.parametrize("levels", LEVELS)
 def test_gradient_of_the_nodes_matches_the_twin(levels, device: str, rng: np.random.Generator) -> None:
-    field, points = Field(*levels, device, rng), points_in(-1.3, 1.3, 300, rng)
+    field, points = Field(levels[0], levels[1], device, rng), points_in(-1.3, 1.3, 300, rng)
     adj = rng.normal(size=(len(points), 6))
     assert_gradients_close(field.scatter(points, adj), reference.adj_sample(field.resolution, points, adj))
 
@@ -134,7 +103,7 @@ def test_derivative_matches_finite_differences_of_the_kernel(device: str, rng: n
 
 @pytest.mark.parametrize("levels", [(1, 4), (3, 3)])
 def test_both_adjoints_match_autodiff(levels, device: str, rng: np.random.Generator) -> None:
-    field, points = Field(*levels, device, rng), points_in(-1.2, 1.2, 200, rng)
+    field, points = Field(levels[0], levels[1], device, rng), points_in(-1.2, 1.2, 200, rng)
     adj = rng.normal(size=(len(points), 6))
     nodes = witness.variable(witness.pad(field.values), node8, device)
     positions = witness.variable(points, wp.vec3, device)
@@ -142,8 +111,8 @@ def test_both_adjoints_match_autodiff(levels, device: str, rng: np.random.Genera
         value = witness.sample_all(field.resolution, nodes, positions)
     np.testing.assert_allclose(field.sample(points)[0], value.numpy()[:, :6], rtol=0, atol=5e-6)
     tape.backward(grads={value: wp.array(witness.pad(adj), dtype=node8, device=device)})
-    assert_gradients_close(field.scatter(points, adj), nodes.grad.numpy()[:, :6])
-    assert_gradients_close(np.einsum("nac,nc->na", field.sample(points)[1], adj), positions.grad.numpy())
+    assert_gradients_close(field.scatter(points, adj), gradient_of(nodes)[:, :6])
+    assert_gradients_close(np.einsum("nac,nc->na", field.sample(points)[1], adj), gradient_of(positions))
 
 
 @pytest.mark.parametrize("finest", [1, 2, 5])

@@ -7,7 +7,8 @@ import pytest
 import reference_refine as twin
 import warp as wp
 import witness_refine
-from gradients import assert_gradients_close, finite_differences
+from gradients import assert_gradients_close, finite_differences, gradient_of
+from present import present
 from test_planes import Scene, put, spans
 
 from warpdef.kernels.unseen import expected_places, hold_unseen
@@ -15,11 +16,11 @@ from warpdef.kernels.unseen import expected_places, hold_unseen
 
 def expected(device: str, vertices, rotation, near, far, between, cuts=(0,)) -> np.ndarray:
     """(T, V, 3), by the kernel."""
-    times = [put(a, wp.int32, device) for a in (near, far, between)]
+    before, after, part = (put(a, wp.int32, device) for a in (near, far, between))
     out = put(np.full(vertices.shape, np.nan), wp.vec3, device)
-    mesh = (put(vertices, wp.vec3, device), put(rotation, wp.mat33, device))
+    at, turned = put(vertices, wp.vec3, device), put(rotation, wp.mat33, device)
     for begin, count in spans(cuts, vertices.shape[0] * vertices.shape[1]):
-        expected_places(begin, count, *times, *mesh, out)
+        expected_places(begin, count, before, after, part, at, turned, out)
     return out.numpy()
 
 
@@ -107,12 +108,12 @@ def test_the_pull_matches_autodiff(held: Held) -> None:
     with wp.Tape() as tape:
         wp.launch(witness_refine.plane_pairs, 3 * held.count, inputs=[move, *pairs, loss], device=on)
     tape.backward(loss)
-    assert_gradients_close(held.run()[1], -0.5 * move.grad.numpy())
+    assert_gradients_close(held.run()[1], -0.5 * gradient_of(move))
 
 
 def test_what_lies_on_the_points_is_free_and_what_has_none_is_held(device: str, rng: np.random.Generator) -> None:
     held = Held(device, rng, hold=(1.0, 1.0))
-    held.mutual_reach[:] = np.inf
+    present(held.mutual_reach)[:] = np.inf
     held.index["met"][:30] = -1
     pair = held.index["met"][31:33]
     held.x[31:33], held.m[31:33] = held.q[pair], held.n[pair]

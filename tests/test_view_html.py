@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from present import present
 from view_samples import BAR, VERTICES, save_clouds, save_run, save_truth
 
 from warpdef.apps.main import run
@@ -112,6 +113,6 @@ def test_it_moves_in_chromium(tmp_path, side_by_side):
     command = [BROWSER, *flags.split(), "--virtual-time-budget=2000", turned.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert re.findall(r".*CONSOLE.*", done.stderr) == []
-    state = dict(re.findall(r'data-(\w+)="([^"]*)"', re.search("<html[^>]*>", done.stdout)[0]))
+    state = dict(re.findall(r'data-(\w+)="([^"]*)"', present(re.search("<html[^>]*>", done.stdout))[0]))
     assert state["ready"] == "1" and int(state["drawn"]) > 1 and "error" not in state
     assert int(state["seen"]) == 5

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from present import present
 from test_view_window import display, needs_screen  # noqa: F401
 from view_samples import BAR, VERTICES, drawing  # noqa: F401
 
@@ -61,7 +62,7 @@ def test_a_mesh_is_asked_for_only_when_the_last_was_taken(monkeypatch, told):
     for iteration in range(5):
         view(hand.progress(iteration))
     assert hand.asked == 1
-    folder = view._folder
+    folder = present(view._folder)
     with np.load(folder / "scene.npz") as scene:
         np.testing.assert_array_equal(scene["faces"], BAR.faces)
         np.testing.assert_array_equal(scene["cloud_0003"], BAR.clouds[3].astype(np.float32))
@@ -102,7 +103,7 @@ def test_handing_out_keeps_to_its_share(monkeypatch, told):
 
 def test_a_window_that_is_closed_ends_quietly(monkeypatch, told):
     view, hand = start(monkeypatch, told, ""), Counted()
-    view._process.wait()
+    present(view._process).wait()
     view(hand.progress())
     view(hand.progress())
     view.close()
@@ -112,7 +113,7 @@ def test_a_window_that_is_closed_ends_quietly(monkeypatch, told):
 def test_a_window_that_crashes_is_told_once(monkeypatch, told):
     crash = "import os, sys; print('libGL.so: Failed to load', file=sys.stderr, flush=True); os.kill(os.getpid(), 11)"
     view, hand = start(monkeypatch, told, crash), Counted()
-    view._process.wait()
+    present(view._process).wait()
     for _ in range(3):
         view(hand.progress())
     view.close()

@@ -6,6 +6,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from present import present
 from synthetic import icosphere
 from view_samples import BAR, FRAMES, VERTICES, save_clouds, save_run, save_truth
 
@@ -220,15 +221,15 @@ def test_a_demo_brings_its_own_clouds_and_truth(tmp_path):
     assert [pane.title for pane in content.panes] == ["input", "reconstruction", "truth"]
     assert [pane.keyframe for pane in load_content(out, side_by_side=True).panes[1:]] == [2, 2]
     assert content.names == ("scan1.ply", "scan3.ply") and content.measures == ["error", "stretch", "displacement"]
-    np.testing.assert_array_equal(content.panes[1].meshes.vertices, VERTICES[1::2])
-    np.testing.assert_array_equal(content.panes[2].meshes.vertices, BAR.vertices[1::2])
-    np.testing.assert_array_equal(np.sort(content.panes[0].clouds[1], 0), np.sort(BAR.clouds[3], 0))
+    np.testing.assert_array_equal(present(content.panes[1].moving).vertices, VERTICES[1::2])
+    np.testing.assert_array_equal(present(content.panes[2].moving).vertices, BAR.vertices[1::2])
+    np.testing.assert_array_equal(np.sort(present(content.panes[0].clouds)[1], 0), np.sort(BAR.clouds[3], 0))
 
 
 def test_the_runs_own_frames_of_the_input_are_taken(tmp_path):
     out = save_run(tmp_path / "out", VERTICES[1:4], frames="1:4")
     content = load_content(out, clouds=save_clouds(tmp_path / "c.npz"))
-    np.testing.assert_array_equal(np.sort(content.panes[0].clouds[0], 0), np.sort(BAR.clouds[1], 0))
+    np.testing.assert_array_equal(np.sort(present(content.panes[0].clouds)[0], 0), np.sort(BAR.clouds[1], 0))
 
 
 def test_two_runs_beside_each_other(tmp_path):

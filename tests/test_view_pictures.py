@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from present import present
 from view_samples import BAR, VERTICES, drawing, save_clouds, save_run, save_truth  # noqa: F401
 
 from warpdef.apps.main import run
@@ -78,7 +79,7 @@ def test_flat_shading_shows_the_triangles(out):
 
 
 def test_the_picture_is_of_the_mesh(out):
-    seen = (shot(out, "--color", "plain") < 240).any(axis=2)[30:]
+    seen = np.any(shot(out, "--color", "plain") < 240, axis=2)[30:]
     assert 0.02 < seen.mean() < 0.5
     assert not seen[:, [0, -1]].any() and not seen[-1].any()
 
@@ -150,7 +151,7 @@ def test_one_actor_is_moved_not_rebuilt(out):
     made = scene(out, cloud=True, trajectories=True)
     try:
         actors = [list(renderer.actors.values()) for renderer in made.plotter.renderers]
-        surface = made.surfaces[0]
+        surface = present(made.surfaces[0])
         data = surface.actor.mapper.dataset
         for frame in (3, 1, 4):
             made.show(frame)
@@ -176,11 +177,11 @@ def test_vertices_may_change_while_it_is_shown(out):
     made = scene(out, color="displacement", trajectories=True)
     try:
         made.show(4)
-        before, actor = made.picture().astype(int), made.surfaces[0].actor
+        before, actor = made.picture().astype(int), present(made.surfaces[0]).actor
         moved = VERTICES + np.arange(5, dtype=np.float32)[:, None, None] * [0.05, 0.0, 0.0]
         made.set_vertices(0, MeshSequence(moved, BAR.faces))
         made.refresh()
-        assert made.surfaces[0].actor is actor
+        assert present(made.surfaces[0]).actor is actor
         np.testing.assert_array_equal(actor.mapper.dataset.points, moved[4].astype(np.float32))
         assert differs(made.picture().astype(int), before) > 0.005
     finally:
@@ -200,6 +201,6 @@ def test_triangles_may_change_from_frame_to_frame(out, tmp_path):
             made.show(frame)
             made.picture()
             count = len(BAR.faces) if frame != 2 else len(BAR.faces[::2])
-            assert made.surfaces[2].actor.mapper.dataset.n_cells == count
+            assert present(made.surfaces[2]).actor.mapper.dataset.n_cells == count
     finally:
         made.close()

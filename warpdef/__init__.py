@@ -35,7 +35,7 @@ _HOMES = {
     "walking_figure": "warpdef.truth.figure",
 }
 
-__all__ = ["__version__", *_HOMES]
+__all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll] - loaded when used, see below
 
 
 def __getattr__(name: str) -> Any:

@@ -102,7 +102,7 @@ class VertexMeasures:
     meshes: MeshSequence
     keyframe: int = 0
     clouds: Sequence[np.ndarray] | None = None
-    truth: Sequence[TriMesh] | None = None
+    truth: MeshSequence | Sequence[TriMesh] | None = None
     confidence: np.ndarray | None = None
     _values: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
     _points: dict[int, np.ndarray] = field(default_factory=dict)

@@ -135,7 +135,7 @@ def null_test(cost: Callable[[int], float], sizes: tuple[int, int], rounds: int 
     return {"sizes": list(sizes), "seconds": [small, large], "ratio": ratio, "passed": bool(low <= ratio <= high)}
 
 
-def fit_exponent(sizes: Sequence[float], values: Sequence[float]) -> float:
+def fit_exponent(sizes: Sequence[float] | np.ndarray, values: Sequence[float] | np.ndarray) -> float:
     """Exponent p of values ~ sizes^p: the slope of a least-squares line through the logarithms.
 
     Raises:

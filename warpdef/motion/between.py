@@ -11,6 +11,8 @@ unknown where it hardly turns, is not needed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from warpdef.errors import InputError
@@ -32,7 +34,7 @@ def steps_of(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return smoothed(steps, faces, _SPREAD * side / edge) if edge > 0.0 else steps
 
 
-def between(points: np.ndarray, steps: np.ndarray, times: np.ndarray) -> np.ndarray:
+def between(points: np.ndarray, steps: np.ndarray, times: Sequence[float] | np.ndarray) -> np.ndarray:
     """Points that turn as they go, at any times.
 
     Args:
@@ -62,7 +64,7 @@ def between(points: np.ndarray, steps: np.ndarray, times: np.ndarray) -> np.ndar
     return placed
 
 
-def turns_between(turns: np.ndarray, times: np.ndarray) -> np.ndarray:
+def turns_between(turns: np.ndarray, times: Sequence[float] | np.ndarray) -> np.ndarray:
     """Rotations, shape (T, N, 4), at any times, shape (n, N, 4): the shorter way round between two frames."""
     times = check_times(times, len(turns))
     turned = np.empty((len(times), *turns.shape[1:]))
@@ -74,7 +76,7 @@ def turns_between(turns: np.ndarray, times: np.ndarray) -> np.ndarray:
     return turned
 
 
-def mesh_between(vertices: np.ndarray, faces: np.ndarray, times: np.ndarray) -> np.ndarray:
+def mesh_between(vertices: np.ndarray, faces: np.ndarray, times: Sequence[float] | np.ndarray) -> np.ndarray:
     """A moving mesh, shape (T, V, 3), at other times, shape (n, V, 3), as in ``between``; it turns as ``steps_of``."""
     times = check_times(times, len(vertices))
     if (times % 1.0 == 0.0).all():
@@ -82,7 +84,7 @@ def mesh_between(vertices: np.ndarray, faces: np.ndarray, times: np.ndarray) -> 
     return between(vertices, steps_of(vertices, faces), times)
 
 
-def check_times(times: np.ndarray, frame_count: int) -> np.ndarray:
+def check_times(times: Sequence[float] | np.ndarray, frame_count: int) -> np.ndarray:
     """Times as float64, shape (n,).
 
     Raises:
@@ -98,7 +100,7 @@ def check_times(times: np.ndarray, frame_count: int) -> np.ndarray:
     return times
 
 
-def _parts(times: np.ndarray) -> list[tuple[int, float]]:
+def _parts(times: Sequence[float] | np.ndarray) -> list[tuple[int, float]]:
     return [(int(time), float(time - int(time))) for time in times]
 
 
