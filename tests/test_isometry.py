@@ -34,7 +34,7 @@ def run(
     weight: float = 1.0,
     split: int = 7,
     before: float = 0.0,
-):
+) -> tuple[np.ndarray, np.ndarray]:
     """Losses (T,) and gradient (T, V, 3), in two spans; ``before`` is what stood in the gradient."""
     frames, count = vertices.shape[:2]
     moving = wp.array(vertices.astype(np.float32), dtype=wp.vec3, ndim=2, device=device)
@@ -87,7 +87,7 @@ def test_gradient_matches_finite_differences_of_the_kernel(device: str, rng: np.
     step, directions = 1e-3, rng.normal(size=(20, *vertices.shape)) * 0.3
     ends = [[run(vertices + s * step * d, edges, device)[0].sum() for s in (1, -1)] for d in directions]
     found = [(above - below) / (2 * step) for above, below in ends]
-    expected = np.einsum("dtvc,tvc->d", directions, np.asarray(adj))
+    expected = np.einsum("dtvc,tvc->d", directions, adj)
     assert_gradients_close(np.array(found), expected, elementwise=0.02, direction=1e-3, relative=0.02)
 
 

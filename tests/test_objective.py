@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from warpdef.config import Config
 from warpdef.device import Way, going, on_host
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import Problem
+from warpdef.fit.terms import IsometryTerm
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import template_gradient
 from warpdef.kernels.schedule import DELTA, SCHEDULE_SIZE
@@ -294,7 +296,7 @@ def test_warm_up_sees_the_input_and_mesh_terms_alone(device: str) -> None:
     expected = finite_differences(input_term, toy.nodes, step=1e-5)
     assert_gradients_close(toy.adj_nodes, expected, elementwise=2e-4, relative=2e-4)
     assert o.transform.loss.numpy()[1] > 0
-    assert not o.transform.loss.numpy()[[0, 2]].any() and not o.terms[1].loss.numpy().any()
+    assert not o.transform.loss.numpy()[[0, 2]].any() and not cast(IsometryTerm, o.terms[1]).loss.numpy().any()
 
 
 @pytest.mark.parametrize("way", Way)

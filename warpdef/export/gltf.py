@@ -36,9 +36,10 @@ def write_glb(animation: Animation, path: Path, precise: bool = False) -> None:
         InputError: more than the 4 GiB that the format can hold.
     """
     buffer, document = Buffer(), start_document()
-    center, step = (None, 1.0) if precise else quantisation(animation.vertices)
-    scale = 1.0 if precise else step * _STEPS
-    positions = _float_positions(animation) if precise else _short_positions(animation, center, step)
+    center, scale, positions = None, 1.0, _float_positions(animation)
+    if not precise:
+        center, step = quantisation(animation.vertices)
+        scale, positions = step * _STEPS, _short_positions(animation, center, step)
     count = animation.vertices.shape[1]
     base, base_normals = next(positions), _base_normals(animation, precise)
     attributes = {

@@ -159,6 +159,7 @@ def named_surface(columns: Mapping[str, np.ndarray], passed: Sequence[str], whol
     if colors is not None and colors.dtype != np.uint8:
         colors = byte_colors(colors, whole)
     points = _stack(columns, POINTS)
+    assert points is not None  # the caller has found them
     taken = [*POINTS, *(NORMALS if normals is not None else ()), *(COLORS if colors is not None else ())]
     line = " ".join(taken) + (f"; passed over: {', '.join(passed[:12])}" if passed else "")
     with np.errstate(invalid="ignore", over="ignore"):

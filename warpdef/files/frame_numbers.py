@@ -242,7 +242,7 @@ def _days(dates: np.ndarray) -> np.ndarray | None:
     """Seconds of year, month, day, shape (N, 3); None if one of them is no date."""
     try:
         start = datetime(1970, 1, 1)
-        days = [datetime(*(int(v) for v in row)) - start for row in dates]
+        days = [datetime(int(row[0]), int(row[1]), int(row[2])) - start for row in dates]
     except (ValueError, OverflowError):
         return None
     if not ((dates[:, 0] >= 1900) & (dates[:, 0] <= 2100)).all():

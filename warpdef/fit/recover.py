@@ -66,7 +66,8 @@ class Surface:
 
     @classmethod
     def of(cls, faces: np.ndarray, edges: np.ndarray) -> Surface:
-        return cls(faces, edges, component_labels(*edges.T, int(max(faces.max(), edges.max())) + 1))
+        starts, ends = edges.T
+        return cls(faces, edges, component_labels(starts, ends, int(max(faces.max(), edges.max())) + 1))
 
 
 class Matches:
@@ -90,7 +91,7 @@ class Matches:
         on = distance < reach * self.spacing
         on &= (cosine if self.cloud.oriented else np.abs(cosine)) > agreement
         kept = s.edges[on[s.edges].all(axis=1)]
-        part = component_labels(*kept.T, len(vertices))
+        part = component_labels(kept[:, 0], kept[:, 1], len(vertices))
         # A separate object is no lost limb: of every component of the mesh the largest part counts.
         size = np.bincount(part[on], minlength=part.max() + 1)
         largest = np.zeros(s.component.max() + 1, dtype=int)

@@ -22,12 +22,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 import warp as wp
 
 from warpdef.config import RefineConfig
-from warpdef.device import Way
+from warpdef.device import Way, on_host
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import span
 from warpdef.fit.recover import Cloud, recover
@@ -78,7 +79,7 @@ class Refinement:
         self._matrix = wp.zeros((frames, count), dtype=wp.mat33, device=device)
         borrow = p.pool.borrower()
         self._pull, self._move = (borrow(wp.vec3, (frames, count)) for _ in range(2))
-        self._rest = wp.clone(objective.vertices[p.transitions.keyframe])
+        self._rest = wp.clone(cast(wp.array, objective.vertices[p.transitions.keyframe]))  # one frame of many
         self._shape_pull, self._shape = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
         c = self.config
         self._solver = BlockSolver(p.mesh, frames, c.tolerance, c.iterations_max, device)
@@ -160,8 +161,8 @@ class Refinement:
     def _choose_sides(self) -> None:
         """Turn normals over to the mesh's side, in frames of unknown side and where too many given ones oppose it."""
         p = self.problem
-        normals = p.normals.numpy()
-        facing = self._normals.numpy().reshape(-1, 3)[self.objective.transform.correspondences.back.index.numpy()]
+        normals, nearest = p.normals.numpy(), on_host(self.objective.transform.correspondences.back.index)
+        facing = on_host(self._normals).reshape(-1, 3)[nearest]
         opposed = (normals * facing).sum(axis=1) < 0
         share = np.add.reduceat(opposed, p.cloud_offsets[:-1]) / p.cloud_sizes
         # A few always do: between two surfaces that touch, the nearest vertex may belong to the other one.

@@ -132,7 +132,8 @@ class _Reference:
         ours = ConjugateGradients(graph, dtype, config.sobolev.tolerance, 1, device)
         offsets = wp.array(graph.first * width, dtype=wp.int32, device=device)
         nodes = len(graph.node)
-        self._cg, self._limits = linear.cg, config.sobolev
+        self._cg: Any = linear.cg  # a function, or a solver to be called again; its annotation says both at once
+        self._limits = config.sobolev
         self._b, self._x, self._r = (wp.zeros(nodes, dtype=dtype, device=device) for _ in range(3))
         self._gather, self._scatter, self._multiply_add = ours.gather, ours.scatter, ours.multiply_add
         self._system, self._systems = graph.system, len(graph.weight)

@@ -9,8 +9,9 @@ On CUDA each phase is launched whole, and one iteration is captured as one graph
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import warp as wp
 
@@ -29,6 +30,12 @@ class Phase:
     direct: bool = False
 
 
+class Command(Protocol):
+    """What can be replayed, such as a recorded ``wp.Launch``."""
+
+    def launch(self) -> None: ...
+
+
 class Team:
     """Threads that replay recorded commands; the caller works along. Close it when done."""
 
@@ -36,14 +43,13 @@ class Team:
         self.size = size
         self._start = threading.Barrier(size)
         self._end = threading.Barrier(size)
-        self._work: list[list[wp.Launch]] = []
-        self._next = iter(())
+        self._next: Iterator[Sequence[Command]] = iter(())
         self._failure: BaseException | None = None
         self._threads = [threading.Thread(target=self._serve, daemon=True) for _ in range(size - 1)]
         for thread in self._threads:
             thread.start()
 
-    def run(self, work: list[list[wp.Launch]]) -> None:
+    def run(self, work: Sequence[Sequence[Command]]) -> None:
         """Replay every command list once, in any order, each list by one thread; returns when all are done."""
         if not self._threads or len(work) == 1:
             for commands in work:

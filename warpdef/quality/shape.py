@@ -101,7 +101,7 @@ class ReferenceShape:
         if self._volume:
             volume = signed_volume(vertices, self.faces) / self._volume
         folded = float(np.mean(self._folded(vertices) & ~self._folds)) if len(self._folds) else 0.0
-        torn = grown[self.faces].all(axis=1)
+        torn = np.all(grown[self.faces], axis=1)
         return ShapeChange(np.abs(stretch), beyond, torn, folded, thickness, thinned, volume)
 
     def _folded(self, vertices: np.ndarray) -> np.ndarray:

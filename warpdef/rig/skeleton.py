@@ -51,8 +51,8 @@ def build_skeleton(rig: Rig) -> Skeleton:
     parents, order = _tree(shared, centers, int(np.diag(shared).argmax()))
     places = np.empty((number, 3))
     for joint, parent in enumerate(parents):
-        b = order[joint]
-        places[joint] = centers[b] if parent < 0 else _joint(rig, table, b, order[parent], centers)
+        b = int(order[joint])
+        places[joint] = centers[b] if parent < 0 else _joint(rig, table, b, int(order[parent]), centers)
     return Skeleton(parents, order, places, *_local(rig.bones[:, order], places, parents))
 
 
