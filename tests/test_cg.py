@@ -171,7 +171,8 @@ def test_where_rounding_forbids_the_tolerance_it_is_said(
     sphere, device: str, stepwise: bool, rng: np.random.Generator
 ) -> None:
     """The recursion believes 1e-4; the solution's own rounding leaves twice that. More restarts would not help."""
-    solve = Solve(*_for(stiff(sphere, 1e4)), device, stepwise, tolerance=1e-4)
+    graph, size = stiff(sphere, 1e4)
+    solve = Solve(graph, wp.vec3, size, device, stepwise, tolerance=1e-4)
     rhs = rng.normal(size=(sphere[1], 3))
     solution = solve(rhs)
     told = float(solve.solver.residual.numpy()[0])
