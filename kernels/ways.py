@@ -13,6 +13,9 @@ from enum import Enum
 
 import warp as wp
 
+VERTICES_PER_TASK = 1024
+"""Of a mesh, where work goes in spans of vertices."""
+
 
 class Way(Enum):
     """SPANS: serial spans, a task each. WHOLE: one launch over everything."""

@@ -16,10 +16,18 @@ from warpdef import memory
 from warpdef.config import Config
 from warpdef.errors import DeviceError, InputError
 from warpdef.fit.optimise import Optimiser
+from warpdef.fit.pool import Pool
 from warpdef.fit.problem import Problem
 from warpdef.fit.refine import Refinement
 from warpdef.fit.workers import Team
-from warpdef.memory import GIB, estimate_memory, explained_shortage, require_memory, vertices_most
+from warpdef.memory import (
+    GIB,
+    estimate_memory,
+    explained_shortage,
+    pooled_bytes,
+    require_memory,
+    vertices_most,
+)
 from warpdef.presets import preset
 
 CPU = wp.get_device("cpu")
@@ -55,6 +63,31 @@ def test_the_estimate_is_what_is_allocated(base: str, frames: int, points: int, 
     estimate = estimate_memory([points] * frames, problem.vertex_count, config)
     assert 0.75 * found < estimate.device < 1.4 * found, (found, estimate)
     assert bool(state) == bool(config.refine.iterations)
+    assert dict(problem.pool.bytes) == pooled_bytes([points] * frames, problem.vertex_count, config)
+
+
+def test_what_the_pool_hands_out_is_at_most_what_was_counted() -> None:
+    """Clouds of unequal sizes: which of them are moved is not known before the keyframe is."""
+    sizes, moving = [300, 120, 250, 400], synthetic.turning_ellipsoid(4, 400, np.random.default_rng(0), 1)
+    clouds, normals = ([a[:n] for a, n in zip(s, sizes, strict=True)] for s in (moving.clouds, moving.normals))
+    for keyframe in range(4):
+        vertices = moving.vertices[keyframe]
+        problem = Problem(clouds, normals, vertices, moving.faces, keyframe, Config(), CPU)
+        Optimiser(problem, 10, Team(1))
+        counted = pooled_bytes(sizes, problem.vertex_count, Config())
+        assert set(problem.pool.bytes) == set(counted)
+        assert all(problem.pool.bytes[owner] <= counted[owner] for owner in counted)
+
+
+def test_stages_borrow_the_same_memory_and_each_its_own_arrays() -> None:
+    pool = Pool(CPU)
+    one, other = pool.borrower(), pool.borrower()
+    a, b = (one(wp.vec3, (2, 5)) for _ in range(2))
+    assert a.ptr != b.ptr
+    assert [other(wp.vec3, (2, 5)).ptr for _ in range(3)][:2] == [a.ptr, b.ptr]
+    assert other(wp.float32, (2, 5)).ptr not in (a.ptr, b.ptr)
+    pool.own("somebody", wp.mat33, 7, (2, 3))
+    assert pool.bytes == {"lent": 3 * 120 + 40, "somebody": 13 * 36}
 
 
 def test_it_grows_with_everything() -> None:

@@ -61,7 +61,7 @@ def ellipsoid(rng: np.random.Generator) -> synthetic.Synthetic:
 
 
 def test_any_number_of_threads_gives_the_same_bits(ellipsoid, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("warpdef.fit.problem.VERTICES_PER_TASK", 10)  # several tasks for a small template
+    monkeypatch.setattr("warpdef.kernels.ways.VERTICES_PER_TASK", 10)  # several tasks for a small template
     config = configured(optimiser={"warmup": 4})
     runs = [Run(ellipsoid, config, "cpu", 12, threads=n) for n in (1, 2, 3)]
     for run in runs[1:]:
@@ -73,7 +73,7 @@ def test_any_number_of_threads_gives_the_same_bits(ellipsoid, monkeypatch: pytes
 def test_spans_of_vertices_and_single_tasks_agree(ellipsoid, monkeypatch: pytest.MonkeyPatch) -> None:
     config = configured(optimiser={"warmup": 2})
     whole = Run(ellipsoid, config, "cpu", 6)
-    monkeypatch.setattr("warpdef.fit.problem.VERTICES_PER_TASK", 7)
+    monkeypatch.setattr("warpdef.kernels.ways.VERTICES_PER_TASK", 7)
     np.testing.assert_array_equal(Run(ellipsoid, config, "cpu", 6).vertices, whole.vertices)
 
 

@@ -3,7 +3,7 @@
     estimate = estimate_memory(points=[5000] * 17, vertices=10_000, config=Config())
     estimate.total                      # bytes
 
-T frames, S = T - 1 steps, N points in all, V vertices, M nodes a step, L levels.
+T frames, S = T - 1 transitions, N points in all, V vertices, M nodes a transition, L levels.
 """
 
 from __future__ import annotations
@@ -19,10 +19,14 @@ import warp as wp
 from warpdef.config import Config
 from warpdef.device import is_cuda
 from warpdef.errors import DeviceError, InputError
+from warpdef.kernels.isometry import path_width
+from warpdef.kernels.ways import VERTICES_PER_TASK
 
 GIB = 2**30
 _PROCESS = 300 * 2**20  # interpreter, Warp's compiler, loaded kernels, libraries
 _CELLS_MAX = 2**18  # of a search grid, a frame
+_VECTOR, _MATRIX, _NODE = 12, 36, 32  # bytes of three, nine and eight float32
+_OTHERS = ("grids", "input term")  # owners in the pool that do not grow with the vertices
 _TEMPLATE_POINT = 4_000  # bytes a keyframe point takes in screened Poisson and remeshing, measured
 
 
@@ -62,27 +66,51 @@ def estimate_memory(points: Sequence[int], vertices: int, config: Config, cuda: 
         cuda: whether it runs on such a device.
     """
     frames, total, largest = len(points), sum(points), max(points)
-    steps = frames - 1
-    nodes = sum((2 * level - 1) ** 3 for level in range(config.grid.coarsest, config.grid.levels + 1))
+    pooled = pooled_bytes(points, vertices, config)
+    nodes = _nodes(config) * (frames - 1)
     direct = config.sobolev.solver == "cosine" or (config.sobolev.solver == "auto" and not config.grid.prune)
-    # A node is 8 float32: parameters, gradients, moments (6), what is kept to go back to (4), and the solvers: scratch
-    # of the transforms (2, on CUDA), or conjugate gradients (8, kept 2) with 6 neighbours a node.
-    a_node = 32 * (6 + 4 + (2 if cuda else 0)) if direct else 32 * (6 + 4 + 8 + 2) + 2 * 4 * 9
-    # A vertex of a frame: positions, chain, Jacobian and six-vector (92), gradients, searches and paths (170); the
-    # vertex stage adds matrices, rotations and conjugate gradients of 3x3 blocks (260), and where a frame is incomplete
-    # the places expected (12).
-    a_vertex = 92 + 170 + (272 if config.refine.iterations else 0)
+    # Beyond the pool a node takes what is kept to go back to (4 of 8 float32), and the solvers: scratch of the
+    # transforms (2, on CUDA), or conjugate gradients (8, kept 2) with 6 neighbours a node.
+    a_node = _NODE * (4 + (2 if cuda else 0)) if direct else _NODE * (4 + 8 + 2) + 2 * 4 * 9
+    # A vertex of a frame: two searches (110); the vertex stage adds matrices, rotations and conjugate gradients of 3x3
+    # blocks (260), and where a frame is incomplete the places expected (12).
+    a_vertex = 110 + (272 if config.refine.iterations else 0)
     search_cells = 2 * min(8 * largest, _CELLS_MAX) + min(8 * vertices, _CELLS_MAX)
     return MemoryEstimate(
         process=_PROCESS,
         # Points and normals as read, in the cube, and laid out behind each other: 3 float64 each.
         clouds=24 * 9 * total,
-        # Where they are and where they were moved to, normals, gradients, and four searches.
-        points=200 * total + 4 * frames * search_cells,
-        grids=a_node * nodes * steps,
-        vertices=a_vertex * vertices * frames,
+        # Where they are and where they come from, normals, and four searches.
+        points=164 * total + 4 * frames * search_cells + pooled["input term"],
+        grids=a_node * nodes + pooled["grids"],
+        vertices=a_vertex * vertices * frames + sum(pooled[owner] for owner in pooled if owner not in _OTHERS),
         template=_TEMPLATE_POINT * largest,
     )
+
+
+def pooled_bytes(points: Sequence[int], vertices: int, config: Config) -> dict[str, int]:
+    """What the fit's pool hands out (``fit.pool``), by owner: at most, and exactly where all clouds are of one size."""
+    frames, transitions = len(points), len(points) - 1
+    moved = sum(points) - points[0] - points[-1] + max(points)
+    return {
+        # Values, gradients and moments.
+        "grids": 6 * _NODE * _nodes(config) * transitions,
+        "shape": 6 * _VECTOR * vertices,
+        # Positions and what is carried back; rotation, Jacobian and six-vector of every move.
+        "chain": vertices * (_VECTOR * (2 * frames + 1) + (_VECTOR + _MATRIX + _NODE) * transitions),
+        # The sums of the terms' gradients; right-hand side and solution of the vertex stage.
+        "lent": 2 * _VECTOR * vertices * frames,
+        # Rotations, places, gradient.
+        "input term": 3 * _VECTOR * moved + 8 * transitions,
+        "transform term": 8 * frames,
+        # Paths, and a loss a task.
+        "isometry term": _VECTOR * vertices * path_width(frames) + 8 * frames * -(-vertices // VERTICES_PER_TASK),
+    }
+
+
+def _nodes(config: Config) -> int:
+    """Of one transition."""
+    return sum((2 * level - 1) ** 3 for level in range(config.grid.coarsest, config.grid.levels + 1))
 
 
 def vertices_most(points: Sequence[int], config: Config) -> int:

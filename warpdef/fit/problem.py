@@ -19,11 +19,10 @@ from warpdef.fit.measures import CloudMeasures, border_of, mean_edge_length
 from warpdef.fit.morton import morton_order
 from warpdef.fit.pool import Pool
 from warpdef.geometry.triangles import face_areas, unique_edges
+from warpdef.kernels import ways
 from warpdef.kernels.graphs import Graph, kept_nodes, mesh_graph
 from warpdef.kernels.levels import LevelTable
 from warpdef.transitions import Transitions
-
-VERTICES_PER_TASK = 1024
 
 
 class Problem:
@@ -129,7 +128,7 @@ class Problem:
 
     def vertex_spans(self) -> list[tuple[int, int]]:
         """Of vertices, each in all frames."""
-        return self.way.cut(self.vertex_count, VERTICES_PER_TASK)
+        return self.way.cut(self.vertex_count, ways.VERTICES_PER_TASK)
 
     def by_frame(self, a: np.ndarray) -> list[np.ndarray]:
         """Rows of all clouds, (N, 3), as float64 by frame."""
