@@ -9,6 +9,9 @@ import tracemalloc
 
 import numpy as np
 import pytest
+import trimesh
+import trimesh.exchange.dae
+import trimesh.exchange.gltf
 from mutation_samples import las, pcd
 
 from warpdef.errors import InputError
@@ -16,6 +19,7 @@ from warpdef.files import read_clouds, read_mesh, read_mesh_sequence, write_ply
 from warpdef.files.formats import CLOUD_SUFFIXES, FORMATS, read_surface
 from warpdef.files.numpy_files import Npz, read_npy
 
+SCENES = [s for s, form in FORMATS.items() if form.merges]
 TABLES = [s for s, form in FORMATS.items() if form.reader == "tables:read_table"]
 POINTS = np.random.default_rng(0).normal(size=(40, 3))
 FACES = np.random.default_rng(1).integers(0, 40, size=(30, 3))
@@ -40,6 +44,16 @@ def off() -> bytes:
     return ("OFF\n40 1 0\n" + "\n".join(f"{x} {y} {z}" for x, y, z in POINTS) + "\n3 0 1 2").encode()
 
 
+def scene(suffix: str) -> bytes:
+    mesh = trimesh.Trimesh(POINTS, FACES, process=False)
+    if suffix == ".gltf":
+        files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(mesh), merge_buffers=True, embed_buffers=True)
+        return files["model.gltf"]
+    if suffix == ".dae":
+        return trimesh.exchange.dae.export_collada(mesh)
+    return mesh.export(file_type=suffix[1:])
+
+
 def samples(tmp_path) -> dict[str, bytes]:
     return {
         ".ply": binary_ply(tmp_path),
@@ -47,6 +61,7 @@ def samples(tmp_path) -> dict[str, bytes]:
         ".off": off(),
         **{s: "\n".join(f"{x} {y} {z}" for x, y, z in POINTS).encode() for s in TABLES},
         ".npy": saved(np.save, POINTS),
+        **{s: scene(s) for s in SCENES},
         ".pcd": pcd(POINTS, None, "binary_compressed"),
         ".las": las(POINTS),
     }
@@ -148,7 +163,7 @@ def test_noise(tmp_path, suffix, noise):
             read_mesh_sequence(tmp_path / "1.npz")
 
 
-@pytest.mark.parametrize("suffix", [s for s in CLOUD_SUFFIXES if s != ".laz"])
+@pytest.mark.parametrize("suffix", [s for s in CLOUD_SUFFIXES if s not in (".laz", ".e57")])
 def test_random_damage_never_gives_another_error(tmp_path, rng, suffix):
     data = samples(tmp_path)[suffix]
     path = tmp_path / f"a{suffix}"

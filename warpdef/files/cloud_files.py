@@ -15,6 +15,7 @@ from warpdef.files.columns import parse_columns
 from warpdef.files.disk import must_exist
 from warpdef.files.formats import CLOUD_SUFFIXES, FRAME_SUFFIXES, read_surface
 from warpdef.files.frame_files import FrameSlot, find_frames, select_frames
+from warpdef.files.mesh_clouds import cloud_of
 from warpdef.files.numpy_files import write_npz
 from warpdef.sequence import MIN_FRAMES, MIN_POINTS, Cloud, PointSequence
 
@@ -33,7 +34,8 @@ def read_clouds(
     Args:
         path: a folder of numbered files of one kind (``formats.FORMATS``; in the order of their numbers, dates or
             times; other files are passed over), a folder of such a file a frame, or an .npz or .npy in a layout of
-            ``cloud_archives``. Vertices of meshes are points.
+            ``cloud_archives``. Vertices of meshes are points
+            where they are even, else points are drawn from the faces.
         frames: frames to use; files outside it are not opened.
         strict: refuse a frame that cannot be used (empty, damaged, missing); else it becomes a gap of the sequence,
             with a warning, unless more than half of the frames are such.
@@ -52,7 +54,7 @@ def read_clouds(
     if points and points < MIN_POINTS:
         raise InputError(f"--points: expected at least {MIN_POINTS}, got {points}")
     suffix = path.suffix.lower()
-    roles, told = parse_columns(columns), ColumnsTold()
+    roles, told = parse_columns(columns), ReadingNotes()
     if path.is_dir():
         named, notes = _folder_frames(path, frames, roles, told)
     elif suffix in CONTAINERS:
@@ -69,10 +71,11 @@ def read_clouds(
 
 
 @dataclass
-class ColumnsTold:
-    """What the files said of their columns, by frame."""
+class ReadingNotes:
+    """What the files said of their columns, by frame, and whose points were drawn from faces."""
 
     lines: dict[str, str] = field(default_factory=dict)
+    drawn: list[str] = field(default_factory=list)
 
     @property
     def line(self) -> str:
@@ -81,26 +84,32 @@ class ColumnsTold:
 
     @property
     def notes(self) -> list[str]:
-        """A warning where frames differ."""
+        """A warning where frames differ, and where they are meshes."""
+        notes = []
         other = next((name for name, line in self.lines.items() if line != self.line), "")
-        return (
-            [f"the columns differ: '{self.line}' in the first frame, '{self.lines[other]}' in {other}"] if other else []
-        )
+        if other:
+            notes.append(f"the columns differ: '{self.line}' in the first frame, '{self.lines[other]}' in {other}")
+        if self.drawn:
+            which = f"{len(self.drawn)} frames are meshes of few or uneven vertices"
+            notes.append(f"{which}: their points are drawn evenly from the faces")
+        return notes
 
 
 def _folder_frames(
-    path: Path, frames: slice | None, columns: Sequence[str], told: ColumnsTold
+    path: Path, frames: slice | None, columns: Sequence[str], told: ReadingNotes
 ) -> tuple[list[NamedFrame], list[str]]:
     found = find_frames(path, FRAME_SUFFIXES)
     slots = select_frames(found.slots, frames, MIN_FRAMES, path)
     return [(slot.name, partial(_read_slot, slot, columns, told)) for slot in slots], found.notes
 
 
-def _read_slot(slot: FrameSlot, columns: Sequence[str], told: ColumnsTold) -> Cloud:
+def _read_slot(slot: FrameSlot, columns: Sequence[str], told: ReadingNotes) -> Cloud:
     surface = read_surface(slot.file(), FRAME_SUFFIXES, columns)
     if surface.columns:
         told.lines[slot.name] = surface.columns
-    return surface.points, surface.normals
+    cloud, drawn = cloud_of(surface, slot.name)
+    told.drawn += [slot.name] if drawn else []
+    return cloud
 
 
 def write_clouds_npz(path: Path | str, sequence: PointSequence) -> None:

@@ -22,12 +22,14 @@ class Format:
 
     reader:    ``module:function`` of this package, called with a path
     has_faces: it can hold a mesh, not points alone
+    merges:    vertices at one place are made one, so that the file's own order is lost
     columns:   its columns may have no names: the reader is given their roles, where people say them, as well
     weak:      such files lie beside frames, too: in a folder they are frames only where no others are
     """
 
     reader: str
     has_faces: bool = False
+    merges: bool = False
     columns: bool = False
     weak: bool = False
 
@@ -45,6 +47,8 @@ FORMATS = {
     ".pcd": Format("pcd:read_pcd"),
     ".las": Format("las:read_las"),
     ".laz": Format("las:read_las"),
+    **dict.fromkeys((".stl", ".glb", ".gltf", ".3mf", ".dae"), Format("scenes:read_scene", True, merges=True)),
+    ".e57": Format("e57:read_e57"),
     ".npz": Format("cloud_archives:read_npz_points", weak=True),
 }
 """Formats of one frame by suffix."""
@@ -53,7 +57,9 @@ FRAME_SUFFIXES = tuple(FORMATS)
 CLOUD_SUFFIXES = tuple(suffix for suffix in FORMATS if suffix != ".npz")
 """Those of files that never hold more than one frame."""
 WEAK_SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.weak)
-MESH_SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.has_faces)
+TEMPLATE_SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.has_faces)
+MESH_SUFFIXES = tuple(suffix for suffix in TEMPLATE_SUFFIXES if not FORMATS[suffix].merges)
+"""Meshes whose vertices keep their order, so that frames can share them."""
 
 
 def read_surface(path: Path, suffixes: Sequence[str], columns: Sequence[str] = ()) -> Surface:
@@ -69,7 +75,8 @@ def read_surface(path: Path, suffixes: Sequence[str], columns: Sequence[str] = (
     """
     suffix = path.suffix.lower()
     if suffix not in suffixes:
-        why = " (STL keeps no shared vertices)" if suffix == ".stl" else ""
+        merges = suffix in FORMATS and FORMATS[suffix].merges
+        why = " (its vertices have no order of their own)" if merges else ""
         raise InputError(
             f"{path}: unknown suffix '{suffix}'{why}; expected one of {' '.join(suffixes)}; convert the file"
         )

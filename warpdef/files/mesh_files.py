@@ -11,7 +11,7 @@ import numpy as np
 from warpdef.appearance import Appearance
 from warpdef.errors import InputError
 from warpdef.files.disk import must_exist
-from warpdef.files.formats import CLOUD_SUFFIXES, MESH_SUFFIXES, read_surface
+from warpdef.files.formats import CLOUD_SUFFIXES, MESH_SUFFIXES, TEMPLATE_SUFFIXES, read_surface
 from warpdef.files.frame_files import frame_files, select_frames
 from warpdef.files.numpy_files import Npz
 from warpdef.files.surface import Surface
@@ -20,7 +20,7 @@ from warpdef.mesh import MeshSequence, TriMesh
 
 
 def read_mesh(path: Path | str, image: bool = True) -> TriMesh:
-    """Read one mesh (.ply, .obj, .off); vertex order kept exactly, polygons cut into fans.
+    """Read one mesh; of .ply, .obj and .off vertex order is kept exactly, polygons are cut into fans.
 
     Its colours and its texture, where it has any, are its ``appearance``.
 
@@ -35,7 +35,7 @@ def read_mesh(path: Path | str, image: bool = True) -> TriMesh:
     must_exist(path)
     if path.is_dir():
         raise InputError(f"{path}: expected one mesh file, got a folder; give one of its files")
-    surface = read_surface(path, MESH_SUFFIXES)
+    surface = read_surface(path, TEMPLATE_SUFFIXES)
     if surface.faces is None or len(surface.faces) == 0:
         raise InputError(
             f"{path}: a mesh without faces; expected at least one triangle, got only points; give a surface mesh"

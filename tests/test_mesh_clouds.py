@@ -1,0 +1,125 @@
+"""Meshes of other programs as frames and as templates, and points drawn from those whose vertices are uneven."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+from synthetic import icosphere
+
+from warpdef.errors import InputError
+from warpdef.files import read_clouds, read_mesh, write_ply
+from warpdef.files.formats import CLOUD_SUFFIXES, FORMATS, read_surface
+from warpdef.geometry.triangles import is_watertight
+
+SPHERE, FACES = icosphere(4)  # 2,562 vertices
+SCENES = [suffix for suffix, form in FORMATS.items() if form.merges]
+
+
+def write(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if path.suffix == ".gltf":
+        for name, data in trimesh.Scene(mesh).export(file_type="gltf").items():
+            (path.parent / (path.name if name == "model.gltf" else name)).write_bytes(data)
+    elif path.suffix == ".dae":
+        path.write_bytes(trimesh.exchange.dae.export_collada(mesh))
+    else:
+        mesh.export(path)
+
+
+@pytest.mark.parametrize("suffix", SCENES)
+def test_a_template_of_another_program(tmp_path, suffix):
+    shape = SPHERE * [1, 2, 3] + 5
+    write(tmp_path / f"a{suffix}", shape, FACES)
+    mesh = read_mesh(tmp_path / f"a{suffix}")
+    assert mesh.vertices.shape == SPHERE.shape and is_watertight(mesh.faces)
+    distance, index = cKDTree(shape).query(mesh.vertices)
+    assert distance.max() < 1e-5 and len(set(index)) == len(shape)
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".glb", ".dae"])
+def test_meshes_as_frames(tmp_path, suffix):
+    for t in range(3):
+        write(tmp_path / f"{t}{suffix}", SPHERE + [0, 0, t], FACES)
+    sequence = read_clouds(tmp_path)
+    assert [p.shape for p in sequence.points] == [SPHERE.shape] * 3 and sequence.warnings == ()
+
+
+def test_the_parts_of_a_scene_are_put_where_they_stand(tmp_path):
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.Trimesh(SPHERE, FACES), transform=trimesh.transformations.translation_matrix([5, 0, 0]))
+    scene.add_geometry(trimesh.Trimesh(SPHERE, FACES), transform=trimesh.transformations.translation_matrix([0, 9, 0]))
+    scene.export(tmp_path / "a.glb")
+    mesh = read_mesh(tmp_path / "a.glb")
+    assert len(mesh.vertices) == 2 * len(SPHERE)
+    np.testing.assert_allclose(mesh.vertices.max(axis=0), [6, 10, 1], atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".ply"])
+def test_points_are_drawn_from_uneven_meshes(tmp_path, suffix):
+    """A box of two triangles a side."""
+    box = trimesh.creation.box([1.0, 2.0, 4.0])
+    for t in range(3):
+        write(tmp_path / f"{t}{suffix}", np.asarray(box.vertices) + t, np.asarray(box.faces))
+    sequence = read_clouds(tmp_path)
+    assert [len(p) for p in sequence.points] == [5000] * 3
+    assert sequence.warnings[0].startswith("3 frames are meshes of few or uneven vertices")
+    for t in range(3):
+        points, normals = sequence.points[t] - t, sequence.normals[t]
+        assert np.abs(np.abs(points) / [0.5, 1.0, 2.0]).max() <= 1 + 1e-6
+        side = np.abs(points / [0.5, 1.0, 2.0]).argmax(axis=1)
+        shares = np.bincount(side) / 5000
+        np.testing.assert_allclose(shares, np.array([8, 4, 2]) / 14, atol=0.03)  # 2 x 4, 1 x 4 and 1 x 2
+        assert (np.einsum("ni,ni->n", points, normals) > 0).all()
+    assert len({tuple(p[0]) for p in sequence.points}) == 3  # frames share no places
+
+
+def test_a_mesh_dense_on_one_side_is_drawn_from(tmp_path):
+    pinched = SPHERE / (1.02 - SPHERE[:, 2:] * 0.98) * [1, 1, 0] + SPHERE * [0, 0, 1]  # wide at the top
+    for t in range(2):
+        write_ply(tmp_path / f"{t}.ply", pinched + t, FACES)
+    drawn = read_clouds(tmp_path)
+    assert [len(p) for p in drawn.points] == [5000, 5000]
+
+
+def test_a_cloud_with_a_few_faces_stays_a_cloud(tmp_path):
+    for t in range(2):
+        write_ply(tmp_path / f"{t}.ply", SPHERE + t, FACES[:20])
+    np.testing.assert_allclose(read_clouds(tmp_path).points[1], SPHERE + 1, atol=1e-12)
+
+
+def test_an_open_mesh_gives_no_normals(tmp_path):
+    top = FACES[(SPHERE[FACES][:, :, 2] > 0).all(axis=1)]
+    used, faces = np.unique(top, return_inverse=True)
+    for t in range(2):
+        write(tmp_path / f"{t}.stl", SPHERE[used] + t, faces.reshape(-1, 3)[:300])
+    assert read_clouds(tmp_path).normals == (None, None)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_a_lying_count_allocates_nothing(tmp_path, suffix):
+    write(tmp_path / f"a{suffix}", SPHERE, FACES)
+    data = (tmp_path / f"a{suffix}").read_bytes()
+    (tmp_path / f"a{suffix}").write_bytes(data.replace(b'"count":2562', b'"count":9999999999'))
+    with pytest.raises(InputError, match="declares more data than there are"):
+        read_mesh(tmp_path / f"a{suffix}")
+
+
+def test_e57(tmp_path):
+    pye57 = pytest.importorskip("pye57")
+    path = tmp_path / "0.e57"
+    file = pye57.E57(str(path), mode="w")
+    for part in (SPHERE[:1000], SPHERE[1000:]):
+        file.write_scan_raw({f"cartesian{a}": np.ascontiguousarray(part[:, i]) for i, a in enumerate("XYZ")})
+    file.close()
+    points = read_surface(path, CLOUD_SUFFIXES).points
+    np.testing.assert_allclose(points, SPHERE, atol=1e-9)
+    data = bytearray(path.read_bytes())
+    for at in (10, 60, len(data) // 2):
+        data[at] ^= 0xFF
+        (tmp_path / "1.e57").write_bytes(data)
+        with pytest.raises(InputError, match=r"1\.e57"):
+            read_surface(tmp_path / "1.e57", CLOUD_SUFFIXES)

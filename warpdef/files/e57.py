@@ -1,0 +1,51 @@
+"""E57 files of terrestrial scanners (ASTM E2807), all scans of a file together, by pye57: the extra ``warpdef[e57]``.
+
+Positions only, each scan in the place that its pose says.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from warpdef.errors import InputError, MissingPackageError
+from warpdef.files.disk import Unpacking, read_bytes, reason
+from warpdef.files.surface import Surface
+
+
+def read_e57(path: Path) -> Surface:
+    """Positions of all scans of a file.
+
+    Raises:
+        InputError: not an E57 file, damaged, or without points.
+        MissingPackageError: pye57 is not installed.
+    """
+    if not read_bytes(path).startswith(b"ASTM-E57"):
+        raise InputError(f"{path}: expected an E57 file, got one that does not start as one; check its suffix")
+    try:
+        import pye57
+    except ImportError as error:
+        raise MissingPackageError(
+            f"{path}: .e57 needs pye57 ({error}); install it: pip install 'warpdef[e57]', or convert to .ply"
+        ) from error
+    try:
+        file = pye57.E57(str(path))
+        try:
+            scans = range(file.scan_count)
+            # Packed by bits: a coordinate may take one.
+            Unpacking(path, "convert it to .ply", times=64).take(
+                24 * sum(file.get_header(i).point_count for i in scans)
+            )
+            found = [file.read_scan(i, ignore_missing_fields=True, transform=True) for i in scans]
+        finally:
+            file.close()
+        axes = ("cartesianX", "cartesianY", "cartesianZ")
+        clouds = [np.stack([scan[axis] for axis in axes], axis=1).astype(np.float64) for scan in found]
+    except InputError:
+        raise
+    except Exception as error:  # of the library's own kinds, which have no common base
+        raise InputError(f"{path}: cannot be read as .e57 ({reason(error):.120}); write it again") from None
+    if not sum(map(len, clouds)):
+        raise InputError(f"{path}: expected points, got none; export the scan again")
+    return Surface(np.concatenate(clouds))

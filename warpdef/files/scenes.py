@@ -1,0 +1,95 @@
+"""Meshes of other programs through trimesh: .stl .glb .gltf .3mf .dae, their parts put together, in the scene's place.
+
+These formats keep no shared vertices, or split them where an image has a seam: vertices at one place are merged, so
+that the surface hangs together. Only the shape is taken; colours and images are passed over. 3MF and Collada need the
+extra ``warpdef[meshes]``.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from warpdef.errors import InputError, MissingPackageError
+from warpdef.files.disk import Unpacking, read_bytes, reason
+from warpdef.files.surface import Surface
+
+_TIMES = 60  # XML packs that much
+
+
+def read_scene(path: Path) -> Surface:
+    """Vertices and faces of all parts of a file, or its points where it has no faces.
+
+    Raises:
+        InputError: damaged, or without geometry.
+        MissingPackageError: the format needs a package that is not installed.
+    """
+    data = read_bytes(path)
+    _check_size(data, path)
+    try:
+        import trimesh
+
+        # A library that reads anything raises anything.
+        scene = trimesh.load_scene(path, process=False)
+        parts = scene.dump()
+    except (ImportError, ModuleNotFoundError) as error:
+        raise _missing(path, error) from error
+    except Exception as error:
+        if "lxml" in str(error) or "collada" in str(error) or "networkx" in str(error):
+            raise _missing(path, error) from error
+        raise InputError(
+            f"{path}: cannot be read as {path.suffix.lower()} ({reason(error):.120}); it is damaged: write it again"
+        ) from None
+    meshes = [part for part in parts if getattr(part, "faces", None) is not None and len(part.faces)]
+    if meshes:
+        counts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+        vertices = np.concatenate([np.asarray(mesh.vertices, dtype=np.float64) for mesh in meshes])
+        faces = np.concatenate([np.asarray(mesh.faces) + start for mesh, start in zip(meshes, counts, strict=False)])
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise InputError(f"{path}: a face names a vertex that is not there; the file is damaged")
+        return Surface(*_merged(vertices, faces.astype(np.int64)))
+    clouds = [np.asarray(part.vertices, dtype=np.float64).reshape(-1, 3) for part in parts if hasattr(part, "vertices")]
+    clouds = [cloud for cloud in clouds if len(cloud)]
+    if not clouds:
+        raise InputError(f"{path}: expected a mesh or points, got neither; export the surface")
+    return Surface(np.concatenate(clouds))
+
+
+def _merged(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, None, np.ndarray]:
+    """Vertices at one place made one, in the order of their first; faces that vanish by it left out."""
+    _, first, index = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    faces = place[index.reshape(-1)][faces]
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return vertices[first[order]], None, faces[whole]
+
+
+def _check_size(data: bytes, path: Path) -> None:
+    """Nothing is unpacked or allocated that the file's size does not cover."""
+    suffix = path.suffix.lower()
+    if suffix == ".3mf":
+        unpacking = Unpacking(path, "write it as .ply", times=_TIMES)
+        try:
+            with zipfile.ZipFile(path) as archive:
+                unpacking.take(sum(member.file_size for member in archive.infolist()))
+        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+            raise InputError(f"{path}: cannot be read as .3mf ({reason(error):.120}); write it again") from None
+    elif suffix == ".dae" and b"<!ENTITY" in data:
+        raise InputError(f"{path}: expected Collada without entities of its own; write it again")
+    elif suffix in (".glb", ".gltf"):
+        beside = sum(p.stat().st_size for p in path.parent.glob("*.bin")) if suffix == ".gltf" else 0
+        counts = [int(n) for n in re.findall(rb'"(?:count|byteLength)"\s*:\s*([0-9]+)', data)]
+        if max(counts, default=0) > len(data) + beside:
+            raise InputError(f"{path}: declares more data than there are; it is truncated: write it again")
+
+
+def _missing(path: Path, error: BaseException) -> MissingPackageError:
+    return MissingPackageError(
+        f"{path}: {path.suffix.lower()} needs another package ({reason(error):.80}); install it: "
+        "pip install 'warpdef[meshes]', or convert the file to .ply"
+    )
