@@ -45,6 +45,7 @@ def other_value(key: str, default: object) -> object:
         "template.depth": 9,
         "refine.noisy_thickness": 0.7,
         "columns": "x,y,z",
+        "crop": "0:1,:,:",
     }
     if key in special:
         return special[key]

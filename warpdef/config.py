@@ -294,6 +294,10 @@ class Config:
     """Points a frame, drawn without replacement; 0: all."""
     columns: str = ""
     """Columns of tables without names, as ``x,y,z,nx,ny,nz,r,g,b``, ``_`` for one to pass over; empty: by values."""
+    crop: str = ""
+    """Only points inside this box are used, ``x0:x1,y0:y1,z0:z1`` in input units, any end left out; empty: all."""
+    cut_static: bool = True
+    """Cut planes wider than the object that stand still in all frames: floor, walls, table; objects alone keep all."""
     drop_strays: bool = True
     """Leave out points that belong to no surface: single ones and loose clusters far from it; clean clouds keep all."""
     drop_odd_frames: bool = True
@@ -312,11 +316,28 @@ class Config:
 
     def __post_init__(self) -> None:
         parse_slice(self.frames)
+        parse_box(self.crop)
         _require(self.points == 0 or self.points >= 10, "points", "0 (all) or at least 10", self.points)
         _require(0 < self.fill <= 1, "fill", "above 0, up to 1", self.fill)
         _require(self.seed >= 0, "seed", "0 or more", self.seed)
         exact_on_pruned = self.sobolev.solver == "cosine" and self.grid.prune
         _require(not exact_on_pruned, "sobolev.solver", "cg, warp or auto where grid.prune is true", "cosine")
+
+
+def parse_box(text: str) -> tuple[list[float], list[float]]:
+    """``"x0:x1,y0:y1,z0:z1"``, any end left out, to the least and the greatest x, y and z; the empty text: no bounds.
+
+    Raises:
+        ConfigError: not of that form, or an axis whose end lies before its start.
+    """
+    axes = [axis.split(":") for axis in text.split(",")] if text else [["", ""]] * 3
+    try:
+        low, high = zip(*((float(a or "-inf"), float(b or "inf")) for a, b in axes), strict=True)
+    except ValueError:
+        low, high = (), ()
+    ok = len(low) == 3 and all(a < b for a, b in zip(low, high, strict=True))
+    _require(ok, "crop", "x0:x1,y0:y1,z0:z1, as -1:1,0:2,: in input units", text)
+    return list(low), list(high)
 
 
 def parse_slice(text: str) -> slice:

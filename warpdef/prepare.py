@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
+from warpdef.cleaning.crop import crop
 from warpdef.cleaning.far_points import drop_far
 from warpdef.cleaning.odd_frames import leave_out_odd
+from warpdef.cleaning.static_planes import cut_static_planes
 from warpdef.cleaning.strays import drop_strays
 from warpdef.config import Config, parse_slice
 from warpdef.device import find_device
@@ -119,9 +121,18 @@ def read_input(path: Path, config: Config, strict: bool = False) -> PointSequenc
 
 
 def clean(sequence: PointSequence, config: Config) -> PointSequence:
-    """The points that the method uses: far ones and strays left out, then at most ``config.points`` of the rest."""
+    """The points that the method uses: of the object, on its surface, in frames that belong together; then drawn from.
+
+    Each step says in a note what it left out. What is far goes first, as all else takes its scale from the rest.
+    """
+    if config.crop:
+        sequence = crop(sequence, config.crop)
     if config.drop_strays:
-        sequence = drop_strays(drop_far(sequence))
+        sequence = drop_far(sequence)
+    if config.cut_static:
+        sequence = cut_static_planes(sequence)
+    if config.drop_strays:
+        sequence = drop_strays(sequence)
     if config.drop_odd_frames:
         sequence = leave_out_odd(sequence)
     return sequence.subsample(config.points, config.seed) if config.points else sequence

@@ -23,6 +23,7 @@ def preset(name: str) -> Config:
         return base
     return replace(
         base,
+        cut_static=False,
         drop_strays=False,
         drop_odd_frames=False,
         grid=replace(base.grid, prune=True),
