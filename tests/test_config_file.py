@@ -41,7 +41,7 @@ def candidates(kind, value, name: str) -> list:
         return [value + 1, value - 1, 10]
     if kind is float:
         return [value * (1 + 2**-52), value / 3, 1 / 3] if value else [1 / 3, 1.0]
-    return ["C:\\tänze\t\"1\"\n'x' 😀 #"] if name == "mesh" else ["::2", "3"]
+    return ["C:\\tänze\t\"1\"\n'x' 😀 #"] if name == "mesh" else ["::2", "3", ":1,:,:"]
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -124,6 +124,35 @@ def test_a_bomb_is_refused_before_it_goes_off(tmp_path):
     assert peak_memory() - base < 128 << 20
 
 
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_no_other_compression_goes_off(tmp_path, method):
+    """What zipfile would unpack as a whole before a byte of it could be looked at."""
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("points.npy", npy_of_zeros((2, 4_000_000, 3)))
+    base = reset_peak()
+    with pytest.raises(InputError, match="points: expected no compression, or that of np.savez_compressed"):
+        read_clouds(path)
+    assert peak_memory() - base < 64 << 20
+
+
+def test_a_header_alone_is_no_bomb(tmp_path):
+    path = tmp_path / "a.npz"
+    path.write_bytes(zipped({"points.npy": b"\x93NUMPY\2\0" + (200 << 20).to_bytes(4, "little") + bytes(200 << 20)}))
+    base = reset_peak()
+    with pytest.raises(InputError, match="a header of 209715200 bytes"):
+        read_clouds(path)
+    assert peak_memory() - base < 64 << 20
+
+
+def test_the_list_of_an_archive_is_read_once(tmp_path, monkeypatch):
+    np.savez(tmp_path / "a.npz", **{f"points_{t}": CLOUDS[t % 4] for t in range(50)})
+    opened = []
+    whole = zipfile.ZipFile._RealGetContents
+    monkeypatch.setattr(zipfile.ZipFile, "_RealGetContents", lambda self: (opened.append(1), whole(self))[1])
+    assert len(read_clouds(tmp_path / "a.npz")) == 50 and len(opened) == 1
+
+
 def test_what_is_not_compressed_has_no_such_bound(tmp_path):
     (tmp_path / "a").write_bytes(b"x" * 1000)
     unpacking = Unpacking(tmp_path / "a", "write it another way", times=2)

@@ -26,6 +26,7 @@ from warpdef.sequence import MIN_FRAMES, Cloud
 NamedFrame = tuple[str, Callable[[], Cloud]]
 """What a frame is called, and a function that reads it."""
 
+_POINTS_OF_A_FRAME = re.compile("points_[0-9]+")
 _UNEQUAL = 'np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})'
 
 
@@ -102,7 +103,7 @@ def _stack_name(npz: Npz) -> tuple[str, list[str]]:
     """The array of all frames: ``points``, or the only one of its shape; empty without one."""
     if "points" in npz:
         return "points", []
-    if "vertices" in npz and "faces" in npz:
+    if "vertices" in npz and "faces" in npz or any(_POINTS_OF_A_FRAME.fullmatch(name) for name in npz.names):
         return "", []
     shapes = {name: npz.header(name)[0] for name in npz.names if "normal" not in name.lower()}
     stacks = [name for name, shape in shapes.items() if len(shape) == 3 and shape[2] in (3, 6)]
@@ -115,7 +116,7 @@ def _called(name: str) -> list[str]:
 
 def _numbered_names(npz: Npz) -> list[str]:
     """One array a frame: ``points_0``, ..., or another name that all arrays of that shape share."""
-    numbered = [n for n in npz.names if re.fullmatch(r"points_[0-9]+", n)]
+    numbered = [n for n in npz.names if _POINTS_OF_A_FRAME.fullmatch(n)]
     if not numbered:
         names = [n for n in npz.names if re.fullmatch(r"[^0-9]*[0-9]+", n) and "normal" not in n.lower()]
         names = [n for n in names if len(s := npz.header(n)[0]) == 2 and s[1] in (3, 6)]

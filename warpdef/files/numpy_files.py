@@ -26,6 +26,7 @@ _DAMAGE = (
     *(OSError, ValueError, EOFError, MemoryError, OverflowError, RuntimeError, SyntaxError, TypeError, KeyError),
     *(zlib.error, zipfile.BadZipFile, tokenize.TokenError, struct.error),
 )
+_HEADER_MAX = 1 << 16
 _LOCAL_HEADER = struct.Struct("<4s22xHH")  # signature, and the lengths of name and extra field, which follow it
 _Result = TypeVar("_Result")
 
@@ -96,8 +97,9 @@ class Npz:
         if not self.path.is_file():
             raise ValueError("it is no file")
         self._unpacking = Unpacking(self.path, "write it with np.savez, which does not compress")
-        with zipfile.ZipFile(self.path) as archive:
-            return {m.filename[:-4]: m for m in archive.infolist() if m.filename.endswith(".npy")}
+        # Kept open: its list of members is read once, however many arrays there are.
+        self._archive = zipfile.ZipFile(self.path)
+        return {m.filename[:-4]: m for m in self._archive.infolist() if m.filename.endswith(".npy")}
 
     @property
     def names(self) -> list[str]:
@@ -151,7 +153,14 @@ class Npz:
             raise InputError(f"{self.path}: expected an array '{name}', got {', '.join(self.names) or 'no arrays'}")
 
         def opened() -> _Result:
-            with zipfile.ZipFile(self.path) as archive, archive.open(self._members[name]) as stream:
+            member = self._members[name]
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                # Others are unpacked by zipfile as a whole, whatever that takes.
+                raise InputError(
+                    f"{self.path}: {name}: expected no compression, or that of np.savez_compressed, got another; write "
+                    "it with np.savez"
+                )
+            with self._archive.open(member) as stream:
                 return use(stream)
 
         return _guarded(opened, self.path)
@@ -197,6 +206,12 @@ def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype, bool]:
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in readers:
         raise ValueError(f"npy version {version}")
+    if version == (2, 0):
+        start = stream.tell()
+        (length,) = struct.unpack("<I", stream.read(4))
+        if length > _HEADER_MAX:
+            raise ValueError(f"a header of {length} bytes")
+        stream.seek(start)
     shape, first_fastest, dtype = readers[version](stream)
     return shape, dtype, first_fastest
 
