@@ -36,9 +36,12 @@ class Assessment:
     confidence: np.ndarray
 
     def as_dict(self) -> dict[str, Any]:
-        """``verdicts`` (T of ``good``, ``doubtful``, ``lost``) and ``quality`` (a mapping a frame), for reports."""
+        """``verdicts`` (T of ``good``, ``doubtful``, ``lost``) and ``quality`` (a mapping a frame), for reports.
+
+        Numbers have the four digits that they are good for.
+        """
         pairs = zip(self.frames, self.verdicts, strict=True)
-        quality = [{**asdict(frame), "reasons": list(verdict.reasons)} for frame, verdict in pairs]
+        quality = [{**_rounded(asdict(frame)), "reasons": list(verdict.reasons)} for frame, verdict in pairs]
         return {"verdicts": [verdict.name for verdict in self.verdicts], "quality": quality}
 
     def warnings(self) -> list[str]:
@@ -154,6 +157,10 @@ def _frame(
         flicker=frame_flicker,
         acceleration=frame_acceleration,
     )
+
+
+def _rounded(values: dict[str, Any]) -> dict[str, Any]:
+    return {key: float(f"{value:.4g}") if isinstance(value, float) else value for key, value in values.items()}
 
 
 def _number(value: float) -> float | None:
