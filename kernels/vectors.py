@@ -111,7 +111,7 @@ def clear_columns(begin: int, count: int, array: wp.array) -> None:
     launch(_clear_columns, count, [begin, array], array.device)
 
 
-def copy_vectors(source: int, target_out: wp.array) -> None:
+def copy_vectors(source: wp.array, target_out: wp.array) -> None:
     """Copy a vec3 array, recordable like any launch."""
     launch(_copy, len(source), [source, target_out], source.device)
 
@@ -121,7 +121,7 @@ def add_scaled(begin: int, count: int, scale: float, change: wp.array, target_ou
     launch(_add_scaled, count, [begin, scale, change, target_out], target_out.device)
 
 
-def blend(share: float, source: int, target_out: wp.array) -> None:
+def blend(share: float, source: wp.array, target_out: wp.array) -> None:
     """``target += share (source - target)``; a share above 1 overshoots."""
     launch(_blend, len(source), [share, source, target_out], target_out.device)
 

@@ -231,7 +231,8 @@ def test_stl_folder(tmp_path):
 
 
 def test_3mf_folder(tmp_path):
-    pytest.importorskip("lxml"), pytest.importorskip("networkx")
+    pytest.importorskip("lxml")
+    pytest.importorskip("networkx")
     export(PAINTED, tmp_path / "bar.3mf")
     files = sorted((tmp_path / "bar.3mf").iterdir())
     assert [p.name for p in files] == [f"{t:04d}.3mf" for t in range(5)]
@@ -241,9 +242,9 @@ def test_3mf_folder(tmp_path):
             model = ElementTree.fromstring(archive.read("3D/3dmodel.model"))
         # Hundredths of a metre become the format's millimetres.
         assert model.get("unit") == "millimeter"
-        vertices = [[float(v.get(axis)) for axis in "xyz"] for v in model.iter(f"{core}vertex")]
+        vertices = [[float(v.attrib[axis]) for axis in "xyz"] for v in model.iter(f"{core}vertex")]
         np.testing.assert_allclose(vertices, VERTICES[t] * 10.0, rtol=1e-6)
-        triangles = [[int(f.get(f"v{k}")) for k in "123"] for f in model.iter(f"{core}triangle")]
+        triangles = [[int(f.attrib[f"v{k}"]) for k in "123"] for f in model.iter(f"{core}triangle")]
         np.testing.assert_array_equal(triangles, FACES)
 
 

@@ -13,6 +13,7 @@ import warp as wp
 import witness_refine
 from gradients import assert_gradients_close, finite_differences, gradient_of
 
+from warpdef.kernels.chamfer import BOTH_SIDES
 from warpdef.kernels.pairs import pairs_of
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 
@@ -107,11 +108,11 @@ class Scene:
         on = self.device
         mesh, cloud = ([put(a, wp.vec3, on) for a in pair] for pair in ((self.x, self.m), (self.q, self.n)))
         pairing = (agreement, share, put(self.reach, wp.float32, on))
-        places = [put(a, wp.int32, on) for a in (self.frame[way], self.index[way])]
-        sides = []
+        frame, index = (put(a, wp.int32, on) for a in (self.frame[way], self.index[way]))
+        sides = BOTH_SIDES
         if way == "met" and self.mutual_reach is not None:
-            sides = [(put(self.index["asked"], wp.int32, on), put(self.mutual_reach, wp.float32, on))]
-        return pairs_of(pairing, *mesh, *places, *cloud, *sides)
+            sides = (put(self.index["asked"], wp.int32, on), put(self.mutual_reach, wp.float32, on))
+        return pairs_of(pairing, mesh[0], mesh[1], frame, index, cloud[0], cloud[1], sides)
 
     def sums(self, start: float = 0.0) -> tuple[wp.array, wp.array]:
         """A and b of all frames, filled."""

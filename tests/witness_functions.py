@@ -1,4 +1,4 @@
-"""Kernels that call single device functions of ours, so that tests can ask for them alone."""
+"""Kernels that call single device functions of ours, so that tests can ask for them alone, and one that is no one's."""
 
 from __future__ import annotations
 
@@ -54,3 +54,8 @@ def turn(
     turned_out[i] = rotate(z[i], x[i])
     along_out[i] = rotate_along(z[i], x[i], other[i])
     adj_out[i] = adj_rotate(z[i], x[i], other[i])
+
+
+@wp.kernel(module="unique")
+def plain(begin: int, source: int, row: wp.array[wp.int32], vertices: wp.array2d[wp.vec3]):
+    vertices[source, begin] = float(row[0]) * vertices[source, begin]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes.util
 import logging
 import os
+from typing import cast
 
 import numpy as np
 import warp as wp
@@ -51,6 +52,11 @@ def find_device(name: str) -> wp.Device:
 def on_host(array: wp.array) -> np.ndarray:
     """What ``array.numpy()`` gives, under the type that it has for all our arrays; Warp annotates more."""
     return array.numpy()
+
+
+def frame_of(array: wp.array, frame: int) -> wp.array:
+    """One frame of an array whose first axis counts them, as a view; Warp annotates what a list of numbers would give."""
+    return cast(wp.array, array[frame])
 
 
 def usable_cores() -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import cast
 
 import numpy as np
 import warp as wp
@@ -12,7 +11,7 @@ from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.apps.benchmark.peers import add_rows
 from warpdef.apps.benchmark.refine_peers import block_cg_scipy, planes_numpy, rotations_numpy, vertex_normals_numpy
 from warpdef.apps.benchmark.timing import Clock, Timing
-from warpdef.device import on_host
+from warpdef.device import frame_of, on_host
 from warpdef.fit.refine import Refinement
 from warpdef.fit.workers import Team
 from warpdef.kernels.block_cg import BlockSolver
@@ -110,7 +109,7 @@ def _rigid(bed: Bed) -> list[Case]:
     x, frames, count = wp.clone(o.vertices), p.frame_count, p.vertex_count
     total, half_edges = frames * count, frames * len(p.mesh.column)
     mesh, every = (p.integers(p.mesh.row), p.integers(p.mesh.column)), p.integers(np.arange(frames))
-    rest = wp.clone(cast(wp.array, x[p.transitions.keyframe]))  # one frame of many is an array as well
+    rest = wp.clone(frame_of(x, p.transitions.keyframe))
     rotation = _filled(bed, wp.mat33, total).reshape(x.shape)
     fit_rotations(0, total, *mesh, rest, x, rotation)
     pull, rest_sum = wp.zeros_like(x), _filled(bed, wp.vec3, count)

@@ -17,11 +17,12 @@ def write_stl_folder(animation: Animation, folder: Path) -> None:
     Positions count from the animation's origin: the format holds float32.
     """
     import trimesh
+    from trimesh.exchange.stl import export_stl
 
     folder.mkdir()
     for frame, positions in enumerate(animation.vertices):
         mesh = trimesh.Trimesh(positions, animation.faces, process=False)
-        (folder / f"{frame:04d}.stl").write_bytes(trimesh.exchange.stl.export_stl(mesh))
+        (folder / f"{frame:04d}.stl").write_bytes(export_stl(mesh))
 
 
 def write_3mf_folder(animation: Animation, folder: Path) -> None:
@@ -43,4 +44,6 @@ def write_3mf_folder(animation: Animation, folder: Path) -> None:
     for frame, positions in enumerate(animation.vertices):
         places = positions.astype(np.float64) * (1000.0 * animation.metres_per_unit)
         mesh = trimesh.Trimesh(places, animation.faces, process=False)
-        (folder / f"{frame:04d}.3mf").write_bytes(mesh.export(file_type="3mf"))
+        packed = mesh.export(file_type="3mf")
+        assert isinstance(packed, bytes)  # as of every format in a zip file
+        (folder / f"{frame:04d}.3mf").write_bytes(packed)

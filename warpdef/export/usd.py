@@ -82,7 +82,7 @@ def _fill(stage: Any, animation: Animation) -> None:
         moving = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
     for frame, positions in enumerate(animation.vertices):
         points.Set(Vt.Vec3fArray.FromNumpy(positions), frame)
-        if moving is not None:
+        if moving is not None and animation.moving_colors is not None:
             shade = linear_colors(animation.moving_colors[frame]).astype(np.float32)
             moving.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(shade)), frame)
         normals.Set(Vt.Vec3fArray.FromNumpy(animation.normals_of(frame)), frame)

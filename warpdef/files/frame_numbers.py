@@ -18,7 +18,7 @@ import numpy as np
 
 from warpdef.errors import InputError
 
-_MONTHS: list[str] = "jan feb mar apr may jun jul aug sep oct nov dec".split()
+_MONTHS: tuple[str, ...] = tuple("jan feb mar apr may jun jul aug sep oct nov dec".split())
 _MONTH = re.compile(
     r"(?<![a-z])(january|february|march|april|june|july|august|september|october|november|december|"
     + "|".join(_MONTHS)

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import warp as wp
 
-from warpdef.device import Way
+from warpdef.device import Way, frame_of
 from warpdef.fit.objective import Objective
 from warpdef.fit.parameters import Parameters
 from warpdef.fit.problem import Problem
@@ -165,7 +165,7 @@ class Optimiser:
         self._place_template()
 
     def _place_template(self) -> None:
-        copy_vectors(self.shape.x, self.objective.vertices[self.problem.transitions.keyframe])
+        copy_vectors(self.shape.x, frame_of(self.objective.vertices, self.problem.transitions.keyframe))
 
     def _descend(self, first: int, last: int) -> None:
         """Adam on the grids of transitions ``first .. last``; then their gradient is cleared for the next iteration."""

@@ -22,13 +22,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import cast
 
 import numpy as np
 import warp as wp
 
 from warpdef.config import RefineConfig
-from warpdef.device import Way, on_host
+from warpdef.device import Way, frame_of, on_host
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import span
 from warpdef.fit.recover import Cloud, recover
@@ -79,7 +78,7 @@ class Refinement:
         self._matrix = wp.zeros((frames, count), dtype=wp.mat33, device=device)
         borrow = p.pool.borrower()
         self._pull, self._move = (borrow(wp.vec3, (frames, count)) for _ in range(2))
-        self._rest = wp.clone(cast(wp.array, objective.vertices[p.transitions.keyframe]))  # one frame of many
+        self._rest = wp.clone(frame_of(objective.vertices, p.transitions.keyframe))
         self._shape_pull, self._shape = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
         c = self.config
         self._solver = BlockSolver(p.mesh, frames, c.tolerance, c.iterations_max, device)
@@ -209,13 +208,14 @@ class Refinement:
 
     def take_shape(self) -> None:
         """The keyframe's vertices are the shape."""
-        copy_vectors(self.objective.vertices[self.problem.transitions.keyframe], self._rest)
+        copy_vectors(frame_of(self.objective.vertices, self.problem.transitions.keyframe), self._rest)
 
     def settle(self, frame: int, rounds: int) -> None:
         """Fit one frame alone to its cloud and the shape as they are; frames may be settled at the same time."""
         o, count = self.objective, self.problem.vertex_count
         if self._expected is not None:
-            copy_vectors(o.vertices[frame], self._expected[frame])  # what is not seen goes with its neighbour's step
+            # What is not seen goes with its neighbour's step.
+            copy_vectors(frame_of(o.vertices, frame), frame_of(self._expected, frame))
         fit_rotations(frame * count, count, self._row, self._column, self._rest, o.vertices, self._rotation)
         for _ in range(rounds):
             self._fit_frames(frame, frame + 1)
@@ -267,6 +267,7 @@ class Refinement:
         fit_rotations(begin, count, *mesh, self._rest, o.vertices, self._rotation)
 
     def _expect(self, begin: int, count: int) -> None:
+        assert self._expected is not None  # else it is no phase
         expected_places(begin, count, *self._times, self.objective.vertices, self._rotation, self._expected)
 
     def _ask_frames(self, begin: int, count: int) -> None:

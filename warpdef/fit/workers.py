@@ -146,6 +146,7 @@ class Iteration:
                     for task in phase.tasks:
                         task()
             graph = self._graph = captured.graph
+            assert graph is not None
         wp.capture_launch(graph)
 
 
