@@ -55,7 +55,7 @@ def on_host(array: wp.array) -> np.ndarray:
 
 
 def frame_of(array: wp.array, frame: int) -> wp.array:
-    """One frame of an array whose first axis counts them, as a view; Warp annotates what a list of numbers would give."""
+    """One frame of an array whose first axis counts them, as a view; Warp annotates what lists would give as well."""
     return cast(wp.array, array[frame])
 
 
