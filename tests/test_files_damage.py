@@ -10,9 +10,9 @@ import tracemalloc
 import numpy as np
 import pytest
 import trimesh
-import trimesh.exchange.dae
-import trimesh.exchange.gltf
 from mutation_samples import las, pcd
+from trimesh.exchange.dae import export_collada
+from trimesh.exchange.gltf import export_gltf
 
 from warpdef.errors import InputError
 from warpdef.files import read_clouds, read_mesh, read_mesh_sequence, write_ply
@@ -47,11 +47,13 @@ def off() -> bytes:
 def scene(suffix: str) -> bytes:
     mesh = trimesh.Trimesh(POINTS, FACES, process=False)
     if suffix == ".gltf":
-        files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(mesh), merge_buffers=True, embed_buffers=True)
+        files = export_gltf(trimesh.Scene(mesh), merge_buffers=True, embed_buffers=True)
         return files["model.gltf"]
     if suffix == ".dae":
-        return trimesh.exchange.dae.export_collada(mesh)
-    return mesh.export(file_type=suffix[1:])
+        return export_collada(mesh)
+    made = mesh.export(file_type=suffix[1:])
+    assert isinstance(made, bytes)
+    return made
 
 
 def samples(tmp_path) -> dict[str, bytes]:

@@ -6,17 +6,19 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 import synthetic
+import warp as wp
 
 import warpdef
 from warpdef.config import Config
 from warpdef.device import Way, find_device, going, team_size, usable_cores, way_of
 
 ROOT = Path(__file__).resolve().parents[1]
-CPU, CUDA = find_device("cpu"), SimpleNamespace(is_cpu=False)
+CPU, CUDA = find_device("cpu"), cast(wp.Device, SimpleNamespace(is_cpu=False))  # all that is asked of it
 ROOMS = ("kernels/ways.py", "warpdef/device.py")
 """Where a device may be asked what it is."""
 

@@ -24,7 +24,7 @@ def read_e57(path: Path) -> Surface:
     if not read_bytes(path).startswith(b"ASTM-E57"):
         raise InputError(f"{path}: expected an E57 file, got one that does not start as one; check its suffix")
     try:
-        import pye57
+        import pye57  # pyright: ignore[reportMissingImports] - the extra [e57], which checks need not have
     except ImportError as error:
         raise MissingPackageError(
             f"{path}: .e57 needs pye57 ({error}); install it: pip install 'warpdef[e57]', or convert to .ply"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ def read_scene(path: Path) -> Surface:
 
         # A library that reads anything raises anything.
         scene = trimesh.load_scene(path, process=False)
-        parts = scene.dump()
+        parts: list[Any] = scene.dump()  # meshes, clouds and paths
     except (ImportError, ModuleNotFoundError) as error:
         raise _missing(path, error) from error
     except Exception as error:
