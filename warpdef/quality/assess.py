@@ -60,9 +60,10 @@ class Assessment:
         walls = [f for f, v in pairs if f.inner is not None and f.inner > INNER_WALL and v.name != LOST]
         if walls:
             most = max(walls, key=lambda f: f.inner or 0.0)
+            where = f" (frame {most.frame})" if len(walls) > 1 else ""
             lines.append(
-                f"surfaces meet or part in {name_frames([f.frame for f in walls])}: up to {most.inner:.0%} of the mesh "
-                f"is a wall inside the points (frame {most.frame}), of low confidence"
+                f"a wall inside the points, as where surfaces meet or part, in {name_frames([f.frame for f in walls])}: "
+                f"{most.inner:.0%} of the mesh{where}; its confidence is low"
             )
         return lines
 
@@ -105,7 +106,8 @@ def assess(
             inner = inner_share(points - centre, placed, faces, coverage)
             hidden = doubled_vertices(coverage, placed, reference.vertices, faces)
             doubled = coverage.share(hidden[faces].mean(axis=1))
-        layers = {"inner": inner, "doubled": doubled}
+        blur = None if coverage is None or reference.thin is None else coverage.noise / reference.thin
+        layers = {"inner": inner, "doubled": doubled, "blur": blur}
         frames.append(_frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm)))
         coverages.append(coverage)
         stretches.append(change.stretch)

@@ -74,6 +74,12 @@ class ReferenceShape:
             return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
         return opposite_vertices(self.vertices, self.faces)
 
+    @cached_property
+    def thin(self) -> float | None:
+        """Thickness of its thin parts: the lower quartile of the pairs' distances; None where it is open."""
+        one, other = self.pairs
+        return float(np.percentile(_distance(self.vertices, one, other), 25.0)) if len(one) >= _FEWEST else None
+
     def edge_lengths(self, vertices: np.ndarray) -> np.ndarray:
         """Of a frame (V, 3), shape (E,)."""
         return np.linalg.norm(vertices[self.edges[:, 0]] - vertices[self.edges[:, 1]], axis=1)
