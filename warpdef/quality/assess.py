@@ -62,8 +62,8 @@ class Assessment:
             most = max(walls, key=lambda f: f.inner or 0.0)
             where = f" (frame {most.frame})" if len(walls) > 1 else ""
             lines.append(
-                f"a wall inside the points, as where surfaces meet or part, in {name_frames([f.frame for f in walls])}: "
-                f"{most.inner:.0%} of the mesh{where}; its confidence is low"
+                f"a wall inside the points, as where surfaces meet or part, in {name_frames([f.frame for f in walls])}"
+                f": {most.inner:.0%} of the mesh{where}; its confidence is low"
             )
         return lines
 
