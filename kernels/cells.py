@@ -22,7 +22,8 @@ wp.set_module_options(MODULE_OPTIONS)
 # A surface fills few of a box's cells: some six points in each of those on the CPU, which searches for many queries at
 # once, and three on CUDA, where every query searches on its own.
 _CELLS_PER_POINT = {Way.SPANS: 3.0, Way.WHOLE: 8.0}
-_CELLS_MAX = 2**18
+CELLS_MAX = 2**18
+"""Cells of a search grid, a frame."""
 
 
 @sizes("nx: X; ny: Y; nz: Z")
@@ -263,7 +264,7 @@ def fit_cells(lower: np.ndarray, upper: np.ndarray, wanted: float) -> Cells:
     """
     widest = max(float((upper - lower).max()), 1e-6)
     extent = np.maximum(upper - lower, 0.02 * widest)
-    wanted = min(max(wanted, 8.0), _CELLS_MAX)
+    wanted = min(max(wanted, 8.0), CELLS_MAX)
     size = float(np.cbrt(extent.prod() / wanted))
     count = np.maximum(np.floor(extent / size).astype(int), 1)
     cells = Cells()

@@ -9,6 +9,8 @@ from warpdef.errors import InputError
 MIN_POINTS = 10
 LARGEST_COORDINATE = 1e30
 """Coordinates beyond it are no measurement, and squared they would leave float32."""
+SPACING_NEIGHBOURS = 8
+"""Neighbours whose farthest tells a local spacing: sqrt(8 a / pi) on a surface with area a a point."""
 
 
 def check_cloud(

@@ -1,4 +1,11 @@
-"""Every number of the method: frozen, validated, each field one sentence with its source.
+"""What may be set for a run: frozen, validated, each field one sentence with its source.
+
+Here are the numbers of the paper and of its ablations, and those that another kind of scan or another machine may want
+otherwise: weights, rates, resolutions, thicknesses. Not here, but at the head of the room that uses them, each with
+its reason, are those that judge scans and results (what is a stray, a border, an object, a lost frame), those inside a
+single step (the tetrahedral template's descent, the search for lost limbs, the estimate of normals), sizes of
+neighbourhoods, tolerances against rounding, and limits of file formats and of memory. Such a number stands in one
+room; others import it.
 
 Section and equation names are those of *Preconditioned Deformation Grids* (Pacific Graphics 2025). ``Config()`` is
 the ``default`` preset; for others see ``presets``.

@@ -19,13 +19,14 @@ import warp as wp
 from warpdef.config import Config
 from warpdef.device import is_cuda
 from warpdef.errors import DeviceError, InputError
+from warpdef.kernels.cells import CELLS_MAX
 from warpdef.kernels.isometry import path_width
 from warpdef.kernels.ways import VERTICES_PER_TASK
 
 GIB = 2**30
 _PROCESS = 300 * 2**20  # interpreter, Warp's compiler, loaded kernels, libraries
-_CELLS_MAX = 2**18  # of a search grid, a frame
-_VECTOR, _MATRIX, _NODE = 12, 36, 32  # bytes of three, nine and eight float32
+VECTOR, MATRIX, NODE, INDEX = 12, 36, 32, 4
+"""Bytes of three, nine and eight float32, and of an int32."""
 _OTHERS = ("grids", "input term")  # owners in the pool that do not grow with the vertices
 _TEMPLATE_POINT = 4_000  # bytes a keyframe point takes in screened Poisson and remeshing, measured
 
@@ -71,11 +72,11 @@ def estimate_memory(points: Sequence[int], vertices: int, config: Config, cuda: 
     direct = config.sobolev.solver == "cosine" or (config.sobolev.solver == "auto" and not config.grid.prune)
     # Beyond the pool a node takes what is kept to go back to (4 of 8 float32), and the solvers: scratch of the
     # transforms (2, on CUDA), or conjugate gradients (8, kept 2) with 6 neighbours a node.
-    a_node = _NODE * (4 + (2 if cuda else 0)) if direct else _NODE * (4 + 8 + 2) + 2 * 4 * 9
+    a_node = NODE * (4 + (2 if cuda else 0)) if direct else NODE * (4 + 8 + 2) + 2 * 4 * 9
     # A vertex of a frame: two searches (110); the vertex stage adds matrices, rotations and conjugate gradients of 3x3
     # blocks (260), and where a frame is incomplete the places expected (12).
     a_vertex = 110 + (272 if config.refine.iterations else 0)
-    search_cells = 2 * min(8 * largest, _CELLS_MAX) + min(8 * vertices, _CELLS_MAX)
+    search_cells = 2 * min(8 * largest, CELLS_MAX) + min(8 * vertices, CELLS_MAX)
     return MemoryEstimate(
         process=_PROCESS,
         # Points and normals as read, in the cube, and laid out behind each other: 3 float64 each.
@@ -94,17 +95,17 @@ def pooled_bytes(points: Sequence[int], vertices: int, config: Config) -> dict[s
     moved = sum(points) - points[0] - points[-1] + max(points)
     return {
         # Values, gradients and moments.
-        "grids": 6 * _NODE * _nodes(config) * transitions,
-        "shape": 6 * _VECTOR * vertices,
+        "grids": 6 * NODE * _nodes(config) * transitions,
+        "shape": 6 * VECTOR * vertices,
         # Positions and what is carried back; rotation, Jacobian and six-vector of every move.
-        "chain": vertices * (_VECTOR * (2 * frames + 1) + (_VECTOR + _MATRIX + _NODE) * transitions),
+        "chain": vertices * (VECTOR * (2 * frames + 1) + (VECTOR + MATRIX + NODE) * transitions),
         # The sums of the terms' gradients; right-hand side and solution of the vertex stage.
-        "lent": 2 * _VECTOR * vertices * frames,
+        "lent": 2 * VECTOR * vertices * frames,
         # Rotations, places, gradient.
-        "input term": 3 * _VECTOR * moved + 8 * transitions,
+        "input term": 3 * VECTOR * moved + 8 * transitions,
         "transform term": 8 * frames,
         # Paths, and a loss a task.
-        "isometry term": _VECTOR * vertices * path_width(frames) + 8 * frames * -(-vertices // VERTICES_PER_TASK),
+        "isometry term": VECTOR * vertices * path_width(frames) + 8 * frames * -(-vertices // VERTICES_PER_TASK),
     }
 
 

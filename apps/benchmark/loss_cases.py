@@ -10,8 +10,8 @@ from warpdef.apps.benchmark.peers import add_rows, chamfer_numpy, isometry_numpy
 from warpdef.device import Way, on_host
 from warpdef.kernels.chamfer import fixed_to_moving, moving_to_fixed
 from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
+from warpdef.memory import INDEX, VECTOR
 
-_POINT, _INDEX = 12, 4  # bytes
 _PAIR = 45  # flops of one residual and its gradient, by hand; the exponential counted as 10
 _EDGE = 40
 
@@ -61,14 +61,14 @@ def _chamfer(bed: Bed) -> list[Case]:
         energy, pull = chamfer_numpy(x[at_vertex], cloud, normals, robust, 0.5)
         return add_rows(at_vertex, pull, len(x)), energy.sum(dtype=np.float64)
 
-    met = 2 * _POINT + 2 * _INDEX  # a point and a vector, slot and neighbour
+    met = 2 * VECTOR + 2 * INDEX  # a point and a vector, slot and neighbour
     return [
         Case(
-            "Chamfer, vertices to cloud", "points", len(x), len(x) * met + len(cloud) * 2 * _POINT,
+            "Chamfer, vertices to cloud", "points", len(x), len(x) * met + len(cloud) * 2 * VECTOR,
             out, len(x) * _PAIR, answer=lambda: gradient(out), peers=[Peer("numpy", out_numpy)],
         ),
         Case(
-            "Chamfer, cloud to vertices", "points", len(cloud), len(cloud) * met + len(x) * 3 * _POINT,
+            "Chamfer, cloud to vertices", "points", len(cloud), len(cloud) * met + len(x) * 3 * VECTOR,
             back, len(cloud) * (_PAIR + 3), answer=lambda: gradient(back), peers=[Peer("numpy", back_numpy)],
         ),
     ]  # fmt: skip
@@ -102,7 +102,7 @@ def _isometry(bed: Bed) -> Case:
 
     x, pairs = vertices.numpy(), p.edges.numpy()
     count = frames * edges
-    size = frames * p.vertex_count * 3 * _POINT + count * 2 * _INDEX
+    size = frames * p.vertex_count * 3 * VECTOR + count * 2 * INDEX
     peer = Peer("numpy", lambda workers: isometry_numpy(x, pairs, share, weight))
     # An edge whose length changes by a rounding error may pull either way: that many edges' gradients may differ.
     return Case("isometry", "edges", count, size, tasks, count * _EDGE, answer=gradient, peers=[peer], tolerance=1e-2)

@@ -10,8 +10,8 @@ from warpdef.apps.benchmark.kernels import adj_sample_only, rotate_only, sample_
 from warpdef.apps.benchmark.peers import rotate_numpy, sample_scipy, scatter_numpy, torch_peers
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_points, move_vertices, scatter_vertices
+from warpdef.memory import NODE
 
-_NODE = 32  # bytes
 # By hand: a cell's place 21; seven interpolations of eight floats; the sum. With derivatives four more differences and
 # three more sums. Scattering splits a register seven times and adds eight.
 _SAMPLE, _SAMPLE_AND_DERIVATIVE, _SCATTER = 21 + 7 * 24 + 8, 24 + 17 * 16 + 4 * 8 + 12, 21 + 7 * 16 + 64
@@ -52,10 +52,10 @@ def _sampling(bed: Bed) -> list[Case]:
         run_tasks(back)
         return adj_nodes.numpy()
 
-    grid = bed.nodes.size * _NODE
+    grid = bed.nodes.size * NODE
     return [
         Case(
-            "sampling", "points", count, count * (12 + 4 + _NODE) + grid, forward, count * (levels * _SAMPLE + 8),
+            "sampling", "points", count, count * (12 + 4 + NODE) + grid, forward, count * (levels * _SAMPLE + 8),
             answer=value,
             peers=[
                 Peer("scipy map_coordinates", lambda workers: sample_scipy(nodes, table, clouds)),
@@ -63,7 +63,7 @@ def _sampling(bed: Bed) -> list[Case]:
             ],
         ),
         Case(
-            "sampling adjoint", "points", count, count * (12 + 4 + _NODE) + 2 * grid, back,
+            "sampling adjoint", "points", count, count * (12 + 4 + NODE) + 2 * grid, back,
             count * (levels * _SCATTER + 8), answer=scattered,
             peers=[
                 Peer("numpy bincount", lambda workers: scatter_numpy(gradient, table, clouds)),
@@ -89,7 +89,7 @@ def _cayley(bed: Bed) -> Case:
 
 def _points(bed: Bed) -> list[Case]:
     p, o = bed.problem, bed.objective
-    count, levels, grid = len(p.origin), p.levels.count, bed.nodes.size * _NODE
+    count, levels, grid = len(p.origin), p.levels.count, bed.nodes.size * NODE
     z, moved, adj_nodes = bed.zeros(p.origin), bed.zeros(p.origin), bed.node_array()
     forward = bed.span_tasks(
         lambda a, n: move_points(a, n, bed.nodes, bed.levels, p.origin, p.moved_transition, z, moved), p.moved_offsets
@@ -111,7 +111,7 @@ def _points(bed: Bed) -> list[Case]:
 
 def _vertices(bed: Bed) -> list[Case]:
     p, o, ends = bed.problem, bed.objective, bed.problem.transitions
-    levels, grid = p.levels.count, bed.nodes.size * _NODE
+    levels, grid = p.levels.count, bed.nodes.size * NODE
     count = len(ends) * p.vertex_count
     vertices, z, jacobian = wp.clone(o.vertices), bed.zeros(o.chain.rotation), bed.zeros(o.chain.jacobian)
     carry, adj_motion, adj_nodes = bed.zeros(o.chain.carry), bed.zeros(o.chain.adj_motion), bed.node_array()
@@ -141,11 +141,11 @@ def _vertices(bed: Bed) -> list[Case]:
             count * (levels * _SAMPLE_AND_DERIVATIVE + 32 + motion),
         ),
         Case(
-            "move vertices adjoint", "vertices", count, count * (6 * 12 + 36 + _NODE), bed.vertex_tasks(pull),
+            "move vertices adjoint", "vertices", count, count * (6 * 12 + 36 + NODE), bed.vertex_tasks(pull),
             count * (_ADJ_ROTATE + 24),
         ),
         Case(
-            "scatter vertices", "vertices", count, count * (12 + _NODE) + 2 * grid, bed.transition_tasks(scatter),
+            "scatter vertices", "vertices", count, count * (12 + NODE) + 2 * grid, bed.transition_tasks(scatter),
             count * (levels * _SCATTER + 8),
         ),
     ]  # fmt: skip

@@ -18,8 +18,8 @@ from warpdef.kernels.block_cg import BlockSolver
 from warpdef.kernels.pairs import pairs_of
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
+from warpdef.memory import INDEX, MATRIX, VECTOR
 
-_VECTOR, _MATRIX, _INDEX = 12, 36, 4  # bytes
 _RIGIDITY = 0.1
 ROUND = "vertex stage: a round"
 
@@ -86,19 +86,19 @@ def _planes(bed: Bed) -> list[Case]:
         return add_rows(i, found[0].reshape(-1, 9), total).reshape(-1, 3, 3), add_rows(i, found[1], total)
 
     x_numpy = x.numpy()
-    pair = 4 * _VECTOR + 2 * _INDEX
+    pair = 4 * VECTOR + 2 * INDEX
     normals_peer = Peer("numpy", lambda workers: (vertex_normals_numpy(x_numpy, p.faces),))
     return [
         Case(
-            "vertex normals", "vertices", total, total * (2 * _VECTOR + 12 * _INDEX), tasks["normals"],
+            "vertex normals", "vertices", total, total * (2 * VECTOR + 12 * INDEX), tasks["normals"],
             answer=lambda: answer("normals"), peers=[normals_peer],
         ),
         Case(
-            "planes, vertices to cloud", "points", total, total * (pair + _MATRIX + _VECTOR), tasks["out"],
+            "planes, vertices to cloud", "points", total, total * (pair + MATRIX + VECTOR), tasks["out"],
             answer=lambda: answer("out"), peers=[Peer("numpy", out_numpy)],
         ),
         Case(
-            "planes, cloud to vertices", "points", points, points * pair + 2 * total * (_MATRIX + _VECTOR),
+            "planes, cloud to vertices", "points", points, points * pair + 2 * total * (MATRIX + VECTOR),
             tasks["back"], answer=lambda: answer("back"), peers=[Peer("numpy", back_numpy)],
         ),
     ]  # fmt: skip
@@ -143,19 +143,19 @@ def _rigid(bed: Bed) -> list[Case]:
         return add_rows(i, turned / frames, count)
 
     rotations_peer = Peer("numpy svd", lambda workers: rotations_numpy(x_numpy, y, i, j))
-    edge = half_edges * _INDEX
+    edge = half_edges * INDEX
     return [
         # A vertex whose edges lie on a line may turn about it as it likes: its rotation is not compared but by norm.
         Case(
-            "rotations", "vertices", total, total * (_VECTOR + _MATRIX) + edge, tasks["rotations"],
+            "rotations", "vertices", total, total * (VECTOR + MATRIX) + edge, tasks["rotations"],
             answer=rotations, peers=[rotations_peer], tolerance=1e-2,
         ),
         Case(
-            "rigid pull", "vertices", total, total * (3 * _VECTOR + _MATRIX) + edge, tasks["pull"],
+            "rigid pull", "vertices", total, total * (3 * VECTOR + MATRIX) + edge, tasks["pull"],
             answer=turned_pull, peers=[Peer("numpy", pull_numpy)],
         ),
         Case(
-            "rest pull", "vertices", total, total * (_VECTOR + _MATRIX) + edge, tasks["rest"],
+            "rest pull", "vertices", total, total * (VECTOR + MATRIX) + edge, tasks["rest"],
             answer=rest_pulls, peers=[Peer("numpy", rest_numpy)],
         ),
         _block_cg(bed, turned_pull().copy(), c.damping),
@@ -182,7 +182,7 @@ def _block_cg(bed: Bed, pull: np.ndarray, damping: float) -> Case:
         "scipy cg, block Jacobi",
         lambda workers: block_cg_scipy(blocks, p.mesh, _RIGIDITY, damping, pull, c.tolerance),
     )
-    size = frames * count * (_MATRIX + 2 * _VECTOR)
+    size = frames * count * (MATRIX + 2 * VECTOR)
     # Both stop at the same residual; the solutions differ by at most the condition number times that.
     return Case(
         "block CG", "vertices", frames * count, size, tasks, answer=solution, peers=[peer], tolerance=20 * c.tolerance

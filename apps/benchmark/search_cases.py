@@ -12,8 +12,7 @@ from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.device import on_host
 from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.neighbours import NearestSearch
-
-_POINT, _INDEX = 12, 4  # bytes
+from warpdef.memory import INDEX, VECTOR
 
 
 def search_cases(bed: Bed) -> list[Case]:
@@ -24,7 +23,7 @@ def search_cases(bed: Bed) -> list[Case]:
     moving = wp.clone(bed.objective.vertices).flatten()
     to_vertices = _Pair(bed, p.cloud, p.cloud_frame, p.cloud_offsets, moving, vertex_sizes, vertex_first)
     to_clouds = _Pair(bed, moving, p.vertex_frame, vertex_first, p.cloud, p.cloud_sizes, p.cloud_offsets)
-    build_bytes = len(moving) * (4 * _POINT + 4 * _INDEX) + to_vertices.cells * _INDEX
+    build_bytes = len(moving) * (4 * VECTOR + 4 * INDEX) + to_vertices.cells * INDEX
     return [
         Case(
             "neighbours: build", "points", len(moving), build_bytes, to_vertices.build_tasks,
@@ -96,8 +95,8 @@ class _Pair:
 
     def _bytes(self) -> int:
         # Query, group, anchor, bound, reading, index read; four of them written; the sorted targets and the cells read.
-        query = 3 * _POINT + 2 * 4 + 2 * 8 + 2 * 4 + 2 * _INDEX
-        return len(self._queries) * query + len(self._targets) * (2 * _POINT + _INDEX) + self.cells * _INDEX
+        query = 3 * VECTOR + 2 * 4 + 2 * 8 + 2 * 4 + 2 * INDEX
+        return len(self._queries) * query + len(self._targets) * (2 * VECTOR + INDEX) + self.cells * INDEX
 
     def peers(self, build: bool = False) -> list[Peer]:
         """cKDTree, its build or its queries timed."""

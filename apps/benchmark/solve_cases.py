@@ -21,8 +21,8 @@ from warpdef.kernels.cosine import CosineSolver
 from warpdef.kernels.graphs import Graph, grid_graph, kept_nodes
 from warpdef.kernels.levels import node8
 from warpdef.kernels.schedule import SCHEDULE_SIZE
+from warpdef.memory import NODE
 
-_NODE = 32  # bytes
 _WARM_SHARE = 0.01
 
 
@@ -46,7 +46,7 @@ def _cosine(bed: Bed) -> Case:
     # Six passes of n multiply-adds a component, and the division.
     flops = transitions * 8 * int(sum(12 * int(n) ** 4 + 5 * int(n) ** 3 for n in table.resolution))
     peer = Peer("numpy matmul (BLAS)", cosine_numpy(bed.gradient, table, lambdas))
-    return Case("cosine solve", "nodes", rhs.size, 2 * rhs.size * _NODE, tasks, flops, answer=solution, peers=[peer])
+    return Case("cosine solve", "nodes", rhs.size, 2 * rhs.size * NODE, tasks, flops, answer=solution, peers=[peer])
 
 
 def _pruned(bed: Bed) -> list[Case]:
@@ -120,7 +120,7 @@ def _conjugate(
     exact_rhs = rhs.astype(np.float64)
     peer = Peer("scipy splu, factored before", lambda workers: factored.solve(exact_rhs))
     count, unit = len(graph.node), "nodes" if dtype is node8 else "vertices"
-    width = _NODE if dtype is node8 else 12
+    width = NODE if dtype is node8 else 12
     size = count * 2 * width
     # The tolerance is on the residual; the solution's error is larger by at most the condition number.
     known = {"answer": solution, "peers": [peer], "tolerance": 1e-2}
@@ -162,4 +162,4 @@ def _adam(bed: Bed) -> Case:
         return start[2] - np.float32(scale) * per_node * change
 
     peer = Peer("numpy", by_numpy)
-    return Case("Adam", "nodes", count, count * 7 * _NODE, tasks, count * 8 * 13, answer=step, peers=[peer])
+    return Case("Adam", "nodes", count, count * 7 * NODE, tasks, count * 8 * 13, answer=step, peers=[peer])

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warpdef.cloud import SPACING_NEIGHBOURS
 from warpdef.sequence import MIN_POINTS, PointSequence, name_frames
 
 BULK = (10.0, 90.0)  # percentiles
@@ -25,7 +26,6 @@ GAP = 0.5  # of E
 FEW = 0.03  # of the points, but 3 at least
 VERY_FAR = 5.0  # gap, in sizes of all that is not far
 MARKED_MOST = 0.5  # of the points: more than that is not a mark but the cloud
-NEIGHBOURS = 8
 DENSE = 3.0  # spacing of a far surface over that of the body
 SAMPLE = 500  # points of the body whose spacing is looked at
 
@@ -84,11 +84,11 @@ def _is_dense(far: np.ndarray, near: np.ndarray) -> np.ndarray:
     """Which of the far points belong to a surface as dense as the body's, shape (M,) bool."""
     from scipy.spatial import cKDTree
 
-    if len(far) <= NEIGHBOURS:
+    if len(far) <= SPACING_NEIGHBOURS:
         return np.zeros(len(far), dtype=bool)
     step = max(len(near) // SAMPLE, 1)
-    usual = np.median(cKDTree(near).query(near[::step], k=min(NEIGHBOURS, len(near) - 1) + 1)[0][:, -1])
-    return cKDTree(far).query(far, k=NEIGHBOURS + 1)[0][:, -1] <= DENSE * usual
+    usual = np.median(cKDTree(near).query(near[::step], k=min(SPACING_NEIGHBOURS, len(near) - 1) + 1)[0][:, -1])
+    return cKDTree(far).query(far, k=SPACING_NEIGHBOURS + 1)[0][:, -1] <= DENSE * usual
 
 
 def drop_far(sequence: PointSequence) -> PointSequence:

@@ -18,10 +18,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from warpdef.cloud import SPACING_NEIGHBOURS
 from warpdef.geometry.triangles import component_labels
 from warpdef.sequence import MIN_POINTS, PointSequence, name_frames
 
-NEIGHBOURS = 8  # whose farthest gives the local spacing: sqrt(8 a / pi) on a surface with area a a point
 # Longest link, in local spacings; how many times its neighbours' spacing that of a point counts at most, so that strays
 # form no bridges; and how many times over that is asked.
 CAREFUL = (2.0, 1.2, 8)  # a surface loses nothing by it, be it uneven by 10 to 1
@@ -56,7 +56,7 @@ def inlier_mask(points: np.ndarray) -> np.ndarray:
         return every
     distance, index = cKDTree(points).query(points, k=GRAPH_NEIGHBOURS + 1)
     distance, index = distance[:, 1:], index[:, 1:]
-    spacing = distance[:, NEIGHBOURS - 1]
+    spacing = distance[:, SPACING_NEIGHBOURS - 1]
     inlier = _hangs_together(points, distance, index, spacing, CAREFUL)
     if (~inlier).sum() <= max(LEAST_STRAYS * len(points), 1):
         return every
@@ -79,7 +79,7 @@ def _hangs_together(
     link, growth, rounds = rule
     calm = spacing
     for _ in range(rounds):
-        calm = np.minimum(spacing, growth * calm[index[:, :NEIGHBOURS]].min(axis=1))
+        calm = np.minimum(spacing, growth * calm[index[:, :SPACING_NEIGHBOURS]].min(axis=1))
     linked = distance <= link * np.minimum(calm[:, None], calm[index])
     rows = np.repeat(np.arange(len(points)), linked.sum(axis=1))
     labels = component_labels(rows, index[linked], len(points))
@@ -117,7 +117,7 @@ def _floats(points: np.ndarray) -> np.ndarray:
 
     count = min(12, len(points) - 1)
     distance, index = cKDTree(points).query(points, k=count + 1)
-    spacing = distance[:, min(NEIGHBOURS, count)]
+    spacing = distance[:, min(SPACING_NEIGHBOURS, count)]
     near = points[index[:, 1:]]
     centre = np.median(near, axis=1)
     near = near - near.mean(axis=1, keepdims=True)

@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from warpdef.datasets.mesh_folders import mesh_folder, name_problems
+from warpdef.datasets.mesh_folders import SHOWN, mesh_folder, name_problems
 from warpdef.datasets.sequences import TrueSequence
 from warpdef.files.formats import MESH_SUFFIXES
 from warpdef.files.frame_files import find_frames, frame_files
 from warpdef.geometry import triangles
 from warpdef.mesh import TriMesh
-
-_SHOWN = 5  # frames in a message
 
 
 @dataclass(frozen=True)
@@ -132,5 +130,5 @@ def _cloud_problems(sequence: TrueSequence) -> list[str]:
 
 
 def _list(frames: list[int]) -> str:
-    shown = ", ".join(map(str, frames[:_SHOWN])) + (", ..." if len(frames) > _SHOWN else "")
+    shown = ", ".join(map(str, frames[:SHOWN])) + (", ..." if len(frames) > SHOWN else "")
     return f"frame {shown}" if len(frames) == 1 else f"{len(frames)} frames ({shown})"

@@ -16,8 +16,7 @@ from warpdef.files.disk import must_exist
 from warpdef.files.formats import MESH_SUFFIXES, read_surface
 from warpdef.files.frame_files import frame_files
 from warpdef.files.frame_numbers import natural_key
-
-_RUN_FILES = ("sequence.npz", "config.toml", "report.json")
+from warpdef.files.run_folder import REQUIRED
 
 
 @dataclass
@@ -97,7 +96,7 @@ def _walk(folder: Path) -> Iterator[Path]:
         if real in seen:  # links may go in circles
             continue
         seen.add(real)
-        if all((path / name).is_file() for name in _RUN_FILES):
+        if all((path / name).is_file() for name in REQUIRED):
             continue
         yield path
         try:

@@ -11,7 +11,7 @@ from warpdef.files.formats import CLOUD_SUFFIXES, MESH_SUFFIXES
 CLOUD_FOLDERS = ("point_clouds", "points_clouds", "pcl_seqs")
 """Where DynoSurf's sets keep clouds: the input first, the dense samples for its evaluation last."""
 _PLAIN_NAMES = {"gt", "mesh", "meshes", "obj", "objs", "ply"}
-_SHOWN = 5  # numbers in a message
+SHOWN = 5  # numbers in a message
 
 
 def mesh_folder(path: Path) -> Path:
@@ -50,7 +50,7 @@ def name_problems(names: Sequence[str]) -> list[str]:
     problems = []
     twice = [names[i] for i in range(1, len(rows)) if all(c[i] == c[i - 1] for c in columns)]
     if twice:
-        problems.append(f"the same number twice ({', '.join(twice[:_SHOWN])})")
+        problems.append(f"the same number twice ({', '.join(twice[:SHOWN])})")
     if len(moving) > 1:
         problems.append(f"{len(moving)} numbers change from name to name ('{names[0]}', '{names[-1]}')")
     elif moving:
@@ -58,7 +58,7 @@ def name_problems(names: Sequence[str]) -> list[str]:
         step = min((b - a for a, b in zip(numbers[:-1], numbers[1:], strict=True) if b > a), default=1)
         missing = sorted(set(range(numbers[0], numbers[-1], step)) - set(numbers)) if _few(numbers, step) else []
         if missing:
-            shown = ", ".join(map(str, missing[:_SHOWN])) + (", ..." if len(missing) > _SHOWN else "")
+            shown = ", ".join(map(str, missing[:SHOWN])) + (", ..." if len(missing) > SHOWN else "")
             problems.append(f"numbers missing: {shown} ({len(missing)} in all)")
         elif any((b - a) % step for a, b in zip(numbers[:-1], numbers[1:], strict=True)) or not _few(numbers, step):
             problems.append(f"uneven steps between the numbers {numbers[0]} and {numbers[-1]}")

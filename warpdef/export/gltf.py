@@ -21,7 +21,7 @@ from warpdef.export.gltf_parts import add_colors, add_look, add_material, place_
 TARGETS_MANY = 100
 """Frames beyond which a rig serves better: programs hold every target at once, and some stop at 256."""
 
-_STEPS = 32767
+_STEPS = np.iinfo(np.int16).max
 _ANGLE = np.radians(2.0)  # of a normal, at most, between what is meant and what the bytes say
 _LENGTH = 0.995  # of base normals; see normal_offsets. Within what the Khronos validator calls unit
 

@@ -14,6 +14,9 @@ from typing import BinaryIO
 
 from warpdef.errors import InputError
 
+TEXT_BLOCK = 1 << 20
+"""Bytes of text that become numbers at once."""
+
 
 def reason(error: BaseException) -> str:
     """The operating system's own words where there are any, on one line."""

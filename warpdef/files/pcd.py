@@ -17,12 +17,11 @@ import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.files.columns import NORMALS, POINTS, named_surface, plain_numbers, role_of, roles_of
-from warpdef.files.disk import Unpacking, read_bytes
+from warpdef.files.disk import TEXT_BLOCK, Unpacking, read_bytes
 from warpdef.files.lzf import lzf_decompress
 from warpdef.files.surface import Surface
 
 _HEADER_MAX = 1 << 16
-_BLOCK = 1 << 20  # bytes of text that become numbers at once
 _KINDS = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}
 _VALUES_MAX = 1 << 16  # values of a field
 
@@ -99,7 +98,7 @@ def _read_text(data: bytes, header: _Header, path: Path) -> dict[str, np.ndarray
     numbers, at = array("d"), header.start
     try:
         while at < len(data):
-            end = data.find(b"\n", at + _BLOCK) + 1 or len(data)
+            end = data.find(b"\n", at + TEXT_BLOCK) + 1 or len(data)
             numbers.extend([float(word) for word in plain_numbers(data[at:end]).split()])
             at = end
     except ValueError as error:

@@ -18,7 +18,7 @@ import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.files.columns import PASSED_OVER, POINTS, named_surface, plain_numbers, roles_of
-from warpdef.files.disk import read_bytes, replacing
+from warpdef.files.disk import TEXT_BLOCK, read_bytes, replacing
 from warpdef.files.surface import NamedImages, Surface, fan_triangles
 from warpdef.mesh import check_faces
 
@@ -27,7 +27,6 @@ _NAMED_TYPES |= {"float": "f4", "double": "f8", "half": "f2", "long": "i8", "ulo
 _SIZED_TYPE = re.compile(r"(u?int|float)(8|16|32|64)")
 _ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER_MAX = 1 << 20
-_BLOCK = 1 << 20  # bytes of text that become numbers at once
 _BLANK = re.compile(rb"\s")
 _ELEMENTS = {"vertices": "vertex", "points": "vertex", "point": "vertex", "faces": "face"}
 _PLACES_ON_IMAGE = ("s", "t", "u", "v", "texture_u", "texture_v")
@@ -163,7 +162,7 @@ def _numbers(body: bytes, where: str) -> memoryview:
     numbers, at = array("d"), 0
     try:
         while at < len(body):
-            end = _BLANK.search(body, at + _BLOCK)
+            end = _BLANK.search(body, at + TEXT_BLOCK)
             numbers.extend([float(word) for word in body[at : end.start() if end else len(body)].split()])
             at = end.end() if end else len(body)
     except ValueError as error:

@@ -14,7 +14,7 @@ import numpy as np
 from warpdef.errors import InputError
 from warpdef.sequence import Similarity
 
-_STEPS = 32767  # of a 16-bit integer, either side of 0
+_STEPS = np.iinfo(np.int16).max  # either side of 0
 _VALUES = 6  # of a node: Cayley vector, translation
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpdef.cloud import SPACING_NEIGHBOURS
 from warpdef.geometry.closest import closest_on_surface
 from warpdef.geometry.triangles import face_areas, vertex_normals
 
@@ -21,8 +22,7 @@ COVERED = 3.0
 """Lengths from the surface up to which a point counts as covered."""
 FAR = 4.0
 """Lengths from every point from which surface counts as far."""
-_NEIGHBOURS = 8  # whose farthest gives the density
-_SPACING = 0.5 * np.sqrt(np.pi / _NEIGHBOURS)  # mean distance to the first neighbour over that to the 8th
+_SPACING = 0.5 * np.sqrt(np.pi / SPACING_NEIGHBOURS)  # mean distance to the first neighbour over that to the 8th
 _OTHER_SIDE = -0.25  # cosine between the normals of a vertex and of its point's place below which that is another side
 _APART = 1.5  # times the distance, plus a length: what was that far apart in the shape does not belong together
 _JUDGED = 200  # points whose neighbourhoods tell the noise
@@ -125,7 +125,7 @@ def measure_coverage(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray
     from scipy.spatial import cKDTree
 
     tree = cKDTree(points)
-    rank = min(_NEIGHBOURS + 1, len(points))
+    rank = min(SPACING_NEIGHBOURS + 1, len(points))
     spacing = _SPACING * tree.query(points, k=[rank])[0][:, 0]
     noise = noise_level(points, tree, np.random.default_rng(0))
     length = np.maximum(np.maximum(spacing, noise), np.finfo(float).tiny)

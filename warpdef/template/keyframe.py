@@ -10,10 +10,10 @@ import numpy as np
 
 from warpdef.config import KeyframeConfig
 from warpdef.errors import InputError
+from warpdef.template.clusters import OBJECT_SHARE
 
 POINTS_A_CELL = 8.0  # of the coarse grid on which frames are compared
 SPREAD = 0.12  # of the frames: how far apart in time further keyframes should be
-OBJECT_SHARE = 0.02  # least share of the points that is an object
 
 
 @dataclass(frozen=True)
