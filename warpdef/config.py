@@ -57,6 +57,8 @@ class TemplateConfig:
 
     mesh: str = ""
     """Path of a mesh of your own for the keyframe, vertex order kept; empty: reconstruct one."""
+    align: bool = False
+    """Place a mesh of your own on its keyframe first, by one rotation, shift and scale."""
     backend: Literal["auto", "gpytoolbox", "pymeshlab"] = "auto"
     """Library for screened Poisson and remeshing; ``auto`` takes gpytoolbox, else pymeshlab."""
     method: Literal["poisson", "tetrahedra"] = "poisson"
