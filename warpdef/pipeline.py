@@ -143,7 +143,7 @@ def _template(
         mine = TriMesh(into.to_cube(template.vertices), template.faces)
         notes = template.appearance.notes if template.appearance else ()
     if saved is not None:
-        return saved.template(mine, sequence.numbers)
+        return saved.template(None if config.template.align else mine, sequence.numbers)  # that is where it was put
     # Frames are numbered as in the input: one without usable points is an empty cloud.
     clouds = [into.to_cube(p) for p in sequence.all_frames()]
     if mine is None:
