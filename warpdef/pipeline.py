@@ -27,6 +27,7 @@ from warpdef.fit.run import FitRun
 from warpdef.fit.saving import Saved, Saver, lasting_facts
 from warpdef.fit.workers import Team
 from warpdef.geometry.cloud_normals import pca_normals
+from warpdef.kernel_cache import cache_warnings
 from warpdef.memory import MemoryEstimate, explained_shortage
 from warpdef.mesh import MeshSequence, TriMesh, float32_where_exact
 from warpdef.motion.gaps import fill_gaps
@@ -191,7 +192,7 @@ def _report(
     optimiser, refinement = run.optimiser, run.refinement
     device = optimiser.problem.device
     stages, vertex_stage = {"sobolev": optimiser.solves}, None
-    warnings = [*sequence.warnings, *chosen.warnings, *run.warnings]
+    warnings = [*cache_warnings(), *sequence.warnings, *chosen.warnings, *run.warnings]
     warnings += optimiser.solves.warning("sobolev.iterations_max")
     if refinement is not None:
         stages["refine"] = refinement.solves

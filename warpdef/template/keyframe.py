@@ -40,6 +40,19 @@ class KeyframeCandidate:
     why: str
 
 
+def require_keyframe(config: KeyframeConfig, frame_count: int) -> None:
+    """Check a keyframe given by its number.
+
+    Raises:
+        InputError: the sequence has no such frame.
+    """
+    if config.choice.isdecimal() and int(config.choice) >= frame_count:
+        raise InputError(
+            f"--keyframe: expected auto, first, middle or a frame in 0..{frame_count - 1}, got {int(config.choice)}; "
+            f"the sequence has {frame_count} frames, counted from 0"
+        )
+
+
 def rank_keyframes(clouds: Sequence[np.ndarray], config: KeyframeConfig) -> list[KeyframeCandidate]:
     """Candidates, best first: all frames for ``auto``, one for ``first``, ``middle`` or an index.
 
@@ -62,11 +75,7 @@ def rank_keyframes(clouds: Sequence[np.ndarray], config: KeyframeConfig) -> list
         frames = [t for t in range(frame_count) if len(clouds[t])]
     else:
         frame = named[config.choice] if config.choice in named else int(config.choice)
-        if frame >= frame_count:
-            raise InputError(
-                f"--keyframe: expected auto, first, middle or a frame in 0..{frame_count - 1}, got {frame}; "
-                f"the sequence has {frame_count} frames, counted from 0"
-            )
+        require_keyframe(config, frame_count)
         if not len(clouds[frame]):
             raise InputError(f"--keyframe: frame {frame} has no usable points; choose another frame")
         frames = [frame]
