@@ -23,6 +23,7 @@ from warpdef.presets import preset
 ALIASES = {
     "keyframe.choice": "--keyframe",
     "template.mesh": "--template",
+    "template.align": "--align-template",
     "template.method": "--template-method",
     "optimiser.iterations": "--iterations",
 }

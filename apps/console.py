@@ -68,15 +68,20 @@ def _fitting(losses: Mapping[str, float], width: int) -> str:
 
 
 class ProgressDisplay:
-    """One rich bar on a terminal; elsewhere a plain line a phase. Call it with each ``warpdef.Progress``."""
+    """One rich bar on a terminal; elsewhere a plain line a phase. Call it with each ``warpdef.Progress``.
 
-    def __init__(self) -> None:
+    Args:
+        quiet: only what is worth saying aloud, wherever.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._quiet = quiet
         # The console keeps this very stream, whatever is redirected later.
         self._console = Console(file=sys.stderr)
         self._bar: Progress | None = None
         self._task: Any = None
         self._phase = self._message = ""
-        if self._console.is_terminal:
+        if self._console.is_terminal and not quiet:
             self._bar = Progress(
                 SpinnerColumn(),
                 TextColumn("{task.description}"),
@@ -115,7 +120,8 @@ class ProgressDisplay:
             return
         self._phase = phase
         if self._bar is None:
-            self._line(f"{phase}: {iterations} {unit}" if iterations else phase)
+            if not self._quiet:
+                self._line(f"{phase}: {iterations} {unit}" if iterations else phase)
             return
         # A task of its own for each phase: time left is measured within the phase.
         if self._task is not None:

@@ -44,6 +44,7 @@ def build_app(called: str = "") -> App:
     app = App(
         name="warpdef",
         version=__version__,
+        version_flags=["--version", "-V"],
         help="From a sequence of raw point clouds to one mesh that moves.",
         help_epilogue="Exit codes: 0 done, 2 bad input or usage, 128 and the signal's number interrupted "
         "(130 Ctrl-C, 143 SIGTERM, 129 SIGHUP). "

@@ -43,6 +43,7 @@ def reconstruct(
     device: str = "auto",
     threads: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
     json: Annotated[bool, Parameter(negative="")] = False,
+    quiet: Annotated[bool, Parameter(alias="-q", negative="")] = False,
     live: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     strict: Annotated[bool, Parameter(negative="")] = False,
@@ -65,6 +66,7 @@ def reconstruct(
         device: auto, cpu, or cuda:N.
         threads: CPU threads; all if not given.
         json: Print report.json on standard output, and nothing else there.
+        quiet: Say nothing but warnings and errors; the result is in OUTPUT.
         live: Show the mesh in a window while it is optimised; closing it does not end the run.
         overwrite: Replace an older result at OUTPUT, or begin an unfinished run anew.
         strict: Refuse input with a frame that cannot be used (empty, damaged); else its mesh is interpolated, with a
@@ -74,7 +76,7 @@ def reconstruct(
         memory_limit: GiB that the run may be estimated to need, else it is refused; what is free if not given;
             0 for no limit.
     """
-    how = RunOptions(device, threads, overwrite, strict, checkpoint_seconds, max_seconds, memory_limit, live)
+    how = RunOptions(device, threads, overwrite, strict, checkpoint_seconds, max_seconds, memory_limit, live, quiet)
     if resume is None:
         if input is None or output is None:
             missing = "INPUT" if input is None else "--output"
@@ -87,7 +89,7 @@ def reconstruct(
     with held_interrupts():  # the result is whole: what ends the program now must not say that nothing was written
         if json:
             print_json(run.result.report)
-        else:
+        elif not quiet:
             print_summary(run.result, run.path)
         return finish(run, strict)
 
@@ -104,6 +106,7 @@ class RunOptions:
     max_seconds: float | None = None
     memory_limit: float | None = None
     live: bool = False
+    quiet: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,23 +128,46 @@ def resume_to_folder(resumed: Path, source: Path | None, output: Path | None, ho
     Raises:
         WarpdefError: there is no checkpoint, it is damaged, or the input is not the same.
     """
+    from warpdef.files.place_lock import claimed
     from warpdef.files.run_folder import RunFolder
     from warpdef.fit.saving import Saved
 
-    unfinished = RunFolder.prepare(resumed, resume=True)
-    if not unfinished.checkpoint.exists():
-        raise InputError(f"{resumed}: no checkpoint of an unfinished run is kept there; start it without --resume")
-    saved = Saved(unfinished.checkpoint)
-    notes = saved.facts["notes"]
-    if source is None:
-        source = Path(notes["input"])
-        if not source.exists():
-            raise InputError(f"{source}: the input of the run to resume is gone; give its new place before --resume")
-    config = dataclasses.replace(saved.config, frames=notes["frames"])
-    run = run_to_folder(source, output or resumed, config, how, saved)
-    if not run.resumable:
-        _drop(unfinished.checkpoint)
+    with claimed(resumed):
+        unfinished = RunFolder.prepare(resumed, resume=True)
+        if not unfinished.checkpoint.exists():
+            raise InputError(_nothing_to_resume(resumed))
+        saved = Saved(unfinished.checkpoint)
+        notes = saved.facts["notes"]
+        if source is None:
+            source = Path(notes.get("input", ""))
+            if not notes.get("input") or not source.exists():
+                raise InputError(
+                    f"{source}: the input of the run to resume is gone; give its new place before --resume"
+                )
+        config = dataclasses.replace(saved.config, frames=notes.get("frames", ""))
+        run = run_to_folder(source, output or resumed, config, how, saved)
+        if not run.resumable:
+            _drop(unfinished.checkpoint)
     return run
+
+
+def _nothing_to_resume(place: Path) -> str:
+    """Why there is nothing to go on with: the run is through, or there was none."""
+    from warpdef.files.saved_run import load_run
+
+    try:
+        report = load_run(place).report
+    except WarpdefError:
+        return f"{place}: no checkpoint of an unfinished run is kept there; start it without --resume"
+    if report.get("stopped"):
+        return (
+            f"{place}: the run was {report['stopped']} and its checkpoint is gone; begin it anew with --overwrite and "
+            f"--config {place / 'config.toml'}"
+        )
+    return (
+        f"{place}: this run is finished ({report.get('iterations')} iterations), there is nothing to go on with; for "
+        "another one choose another place, or --overwrite"
+    )
 
 
 def run_to_folder(
@@ -159,14 +185,22 @@ def run_to_folder(
     Raises:
         WarpdefError: input, configuration, device or output place is not usable; then nothing is written.
     """
+    from warpdef.device import find_device
     from warpdef.files import read_mesh
+    from warpdef.files.place_lock import claimed
     from warpdef.files.run_folder import RunFolder
     from warpdef.prepare import Safeguards, read_input
 
     total, watch = Stopwatch(), Stopwatch()
     same_place = saved is not None and RunFolder(Path(os.path.realpath(output)), True).checkpoint == saved.path
-    folder = RunFolder.prepare(output, how.overwrite, resume=same_place)
-    with clean_stdout(), ProgressDisplay() as display, contextlib.ExitStack() as shown:
+    with contextlib.ExitStack() as shown:
+        if not same_place:  # else held already
+            shown.enter_context(claimed(output))
+        folder = RunFolder.prepare(output, how.overwrite, resume=same_place)
+        if how.device != "auto":
+            find_device(how.device)  # refused before anything is read
+        shown.enter_context(clean_stdout())
+        display = shown.enter_context(ProgressDisplay(how.quiet))
         display.start("load")
         if isinstance(source, Path):
             sequence = read_input(source, config, how.strict)
@@ -175,6 +209,7 @@ def run_to_folder(
         # A run that goes on has its template's shape in the checkpoint.
         template = read_mesh(config.template.mesh) if config.template.mesh and saved is None else None
         loading = watch.lap()
+        before, loaded = _seconds_before(saved)
 
         tell = shown.enter_context(_shown_live(sequence, display, output)) if how.live else display
 
@@ -194,7 +229,7 @@ def run_to_folder(
                     checkpoint=None if how.checkpoint_seconds is None else folder.checkpoint,
                     checkpoint_seconds=how.checkpoint_seconds or 0.0,
                     resume=saved,
-                    notes={"input": where, "frames": config.frames},
+                    notes={"input": where, "frames": config.frames, "load": repr(loaded + loading)},
                     seconds_max=None if how.max_seconds is None else max(how.max_seconds - loading, 0.0),
                     memory_limit=how.memory_limit,
                 ),
@@ -203,8 +238,8 @@ def run_to_folder(
             display.start("write")
 
             def report() -> dict[str, Any]:
-                inner = result.report["seconds"]
-                result.report["seconds"] = {"load": loading, **inner, "write": watch.lap(), "total": total.lap()}
+                inner = {"load": loaded + loading, **result.report["seconds"], "write": watch.lap()}
+                result.report["seconds"] = {**inner, "total": before + total.lap()}
                 return result.report
 
             with held_interrupts():  # a result that is there is written
@@ -224,10 +259,21 @@ def run_to_folder(
             if folder.checkpoint.exists():
                 say(f"warpdef: the last checkpoint is kept; go on with: warpdef reconstruct --resume {output}")
             raise
-    stopped = bool(result.report.get("stopped"))
-    if not stopped:
-        _drop(folder.checkpoint)
-    return FinishedRun(result, path, stopped and folder.checkpoint.exists())
+        stopped = bool(result.report.get("stopped"))
+        if not stopped:
+            _drop(folder.checkpoint)
+        return FinishedRun(result, path, stopped and folder.checkpoint.exists())
+
+
+def _seconds_before(saved: Saved | None) -> tuple[float, float]:
+    """What a run that goes on had taken until its checkpoint, and how much of that was reading."""
+    if saved is None:
+        return 0.0, 0.0
+    from warpdef.files.checkpoint import understood
+
+    with understood(saved.path):
+        loaded = float(saved.facts["notes"].get("load", "0"))
+    return loaded + sum(saved.facts["seconds"].values()), loaded
 
 
 def _drop(checkpoint: Path) -> None:

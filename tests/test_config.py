@@ -31,6 +31,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "keyframe.gamma": FROM_ZERO,
     "keyframe.coverage_min": ([-0.1, 1.1], [0, 1]),
     "template.mesh": ([], ["", "body.ply"]),
+    "template.align": FREE,
     "template.backend": (["open3d", ""], ["auto", "gpytoolbox", "pymeshlab"]),
     "template.method": (["dmtet", ""], ["poisson", "tetrahedra"]),
     "template.surface": (["half", ""], ["auto", "closed", "open"]),

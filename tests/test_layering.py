@@ -24,7 +24,7 @@ MAIN = "warpdef.__main__"
 """``python -m warpdef``: a door to the command that Python wants beside the library. It counts as one of the apps."""
 
 FLOORS_INSIDE = (
-    ("errors",),
+    ("errors", "kernel_cache"),
     ("cloud", "config", "device", "geometry", "texture", "transitions"),
     ("appearance", "memory", "presets", "sequence"),
     ("cleaning", "mesh"),

@@ -126,3 +126,17 @@ def test_e57(tmp_path):
         (tmp_path / "1.e57").write_bytes(data)
         with pytest.raises(InputError, match=r"1\.e57"):
             read_surface(tmp_path / "1.e57", CLOUD_SUFFIXES)
+
+
+@pytest.mark.parametrize("wrong", [-4, 2562])
+def test_a_face_that_names_no_point_is_refused(tmp_path: Path, wrong: int) -> None:
+    faces = FACES.copy()
+    faces[7, 1] = wrong
+    lines = [" ".join(map(repr, row)) for row in SPHERE.tolist()]
+    lines += [f"3 {a} {b} {c}" for a, b, c in faces]
+    head = ["ply", "format ascii 1.0", f"element vertex {len(SPHERE)}", *(f"property double {axis}" for axis in "xyz")]
+    head += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
+    for t in range(2):
+        (tmp_path / f"{t}.ply").write_text("\n".join([*head, *lines]))
+    with pytest.raises(InputError, match=r"expected vertex indices in 0\.\.2561, got .*damaged"):
+        read_clouds(tmp_path)

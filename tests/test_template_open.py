@@ -8,10 +8,10 @@ from synthetic import icosphere, sample_surface
 
 from warpdef.config import TemplateConfig
 from warpdef.geometry import triangles
+from warpdef.geometry.coverage import objects_of, point_areas
 from warpdef.template import build as building
-from warpdef.template import clusters
 from warpdef.template.cut import cut_at_zero
-from warpdef.template.support import Support, border_points, point_areas
+from warpdef.template.support import Support, border_points
 from warpdef.template.trim import find_trimming
 
 SMALL = TemplateConfig(faces_max=2500)
@@ -153,7 +153,7 @@ def test_objects_are_clusters_with_enough_points(rng):
     vertices, faces = icosphere(3)
     large, small = sample_surface(vertices, faces, 1500, rng)[0], sample_surface(vertices, faces, 300, rng)[0]
     cloud = np.concatenate([small * 0.3 + [2, 0, 0], large, large[:10] * 0.05 + [0, 3, 0]])
-    labels = clusters.point_clusters(cloud)
+    labels = objects_of(cloud)
     assert (labels[:300] == 1).all() and (labels[300:1800] == 0).all() and (labels[1800:] == -1).all()
-    assert (clusters.point_clusters(large) == 0).all()
-    assert clusters.point_clusters(rng.normal(size=(12, 3))).max() == 0
+    assert (objects_of(large) == 0).all()
+    assert objects_of(rng.normal(size=(12, 3))).max() == 0

@@ -39,8 +39,9 @@ class KeyframeConfig:
     """Cells an axis of the grid in which occupied voxels are counted."""
     gamma: float = 0.001
     """Gaussian weight exp(-gamma (t - T/2)^2) that favours the temporal middle."""
-    coverage_min: float = 0.8
-    """Frames that show less than this share of the surface of the fullest frame are no keyframes if others can be."""
+    coverage_min: float = 0.87
+    """Share of the fullest frame's area from which a frame counts as complete: others are no keyframes if these can be,
+    and what they do not show does not pull."""
 
     def __post_init__(self) -> None:
         named = self.choice in ("auto", "first", "middle")
@@ -57,6 +58,8 @@ class TemplateConfig:
 
     mesh: str = ""
     """Path of a mesh of your own for the keyframe, vertex order kept; empty: reconstruct one."""
+    align: bool = False
+    """Place a mesh of your own on its keyframe first, by one rotation, shift and scale."""
     backend: Literal["auto", "gpytoolbox", "pymeshlab"] = "auto"
     """Library for screened Poisson and remeshing; ``auto`` takes gpytoolbox, else pymeshlab."""
     method: Literal["poisson", "tetrahedra"] = "poisson"

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from warpdef.errors import DeviceError
+from warpdef.kernel_cache import ensure_cache
 from warpdef.kernels.ways import Way as Way
 from warpdef.kernels.ways import going as going
 from warpdef.kernels.ways import way_of as way_of
@@ -19,7 +20,8 @@ from warpdef.kernels.ways import way_of as way_of
 def start_warp() -> None:
     """Initialise Warp without its greeting, and without its native warning where no CUDA driver is installed."""
     wp.config.log_level = logging.WARNING
-    if ctypes.util.find_library("cuda") is not None:
+    ensure_cache()
+    if _has_driver():
         wp.init()
         return
     # The warning is written by native code, past Python's own streams.
@@ -33,6 +35,10 @@ def start_warp() -> None:
         os.close(kept)
 
 
+def _has_driver() -> bool:
+    return ctypes.util.find_library("cuda") is not None
+
+
 def find_device(name: str) -> wp.Device:
     """``auto`` (the first CUDA device, else the CPU), ``cpu``, ``cuda`` or ``cuda:N``.
 
@@ -44,6 +50,11 @@ def find_device(name: str) -> wp.Device:
         return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
     there = [d.alias for d in wp.get_devices()]
     wanted = "cuda:0" if name == "cuda" else name
+    if wanted not in there and wanted.startswith("cuda") and not wp.is_cuda_available():
+        lacking = "NVIDIA's driver is not installed (no libcuda)" if not _has_driver() else "the driver shows no device"
+        raise DeviceError(
+            f"--device: expected a CUDA device for {name}, but {lacking}; mend that, or take --device cpu"
+        )
     if wanted not in there:
         raise DeviceError(f"--device: expected one of auto, {', '.join(there)}, got {name}; take one that is there")
     return wp.get_device(wanted)

@@ -27,6 +27,7 @@ from warpdef.fit.run import FitRun
 from warpdef.fit.saving import Saved, Saver, lasting_facts
 from warpdef.fit.workers import Team
 from warpdef.geometry.cloud_normals import pca_normals
+from warpdef.kernel_cache import cache_warnings
 from warpdef.memory import MemoryEstimate, explained_shortage
 from warpdef.mesh import MeshSequence, TriMesh, float32_where_exact
 from warpdef.motion.gaps import fill_gaps
@@ -143,7 +144,7 @@ def _template(
         mine = TriMesh(into.to_cube(template.vertices), template.faces)
         notes = template.appearance.notes if template.appearance else ()
     if saved is not None:
-        return saved.template(mine, sequence.numbers)
+        return saved.template(None if config.template.align else mine, sequence.numbers)  # that is where it was put
     # Frames are numbered as in the input: one without usable points is an empty cloud.
     clouds = [into.to_cube(p) for p in sequence.all_frames()]
     if mine is None:
@@ -191,7 +192,7 @@ def _report(
     optimiser, refinement = run.optimiser, run.refinement
     device = optimiser.problem.device
     stages, vertex_stage = {"sobolev": optimiser.solves}, None
-    warnings = [*sequence.warnings, *chosen.warnings, *run.warnings]
+    warnings = [*cache_warnings(), *sequence.warnings, *chosen.warnings, *run.warnings]
     warnings += optimiser.solves.warning("sobolev.iterations_max")
     if refinement is not None:
         stages["refine"] = refinement.solves

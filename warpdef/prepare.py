@@ -23,6 +23,7 @@ from warpdef.memory import MemoryEstimate, require_memory
 from warpdef.mesh import TriMesh
 from warpdef.progress import Clock
 from warpdef.sequence import PointSequence
+from warpdef.template.keyframe import require_keyframe
 
 READ_FACTOR = 20
 """Points of a frame kept while reading, times those that the method is to use."""
@@ -93,6 +94,7 @@ def prepare(
     if not isinstance(sequence, PointSequence):
         sequence = PointSequence.from_arrays(sequence)
     sequence = sequence.select(parse_slice(config.frames))
+    require_keyframe(config.keyframe, sequence.frame_count)
     if template is None and saved is None and config.template.mesh:
         template = read_mesh(Path(config.template.mesh))
 

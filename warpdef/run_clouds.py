@@ -18,7 +18,8 @@ def clouds_of(run: Run, place: Path | None = None) -> PointSequence:
     """The points that the run used: its own frames, cleaned and drawn as by ``pipeline.reconstruct``.
 
     Args:
-        place: where they lie; taken as they are. None: where the run says, and then they must be what they were.
+        place: where they lie; taken as they are. None: in the run folder, as a demo's do, else where the run says, and
+            there they must be what they were.
 
     Raises:
         InputError: they are gone, of another number of frames, or, in the run's own place, no longer the same.
@@ -27,7 +28,7 @@ def clouds_of(run: Run, place: Path | None = None) -> PointSequence:
     if place is not None:
         path, expected = place, None
     elif (run.path / KEPT).is_file():
-        path, expected = run.path / KEPT, told.get("digests")
+        path, expected = run.path / KEPT, None  # rounded when they were written
     elif told.get("path"):
         path, expected = Path(told["path"]), told.get("digests")
         if not path.exists():

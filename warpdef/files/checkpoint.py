@@ -13,7 +13,7 @@ import math
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from warpdef.errors import InputError, WarpdefError
-from warpdef.files.disk import must_exist, read_bytes, reason, replacing
+from warpdef.files.disk import must_exist, read_bytes, reason, replacing, settle_names
 
 FORMAT = 2
 """Raise it with every change of what a run keeps: a fact or array that is new, gone, renamed, or of another meaning."""
@@ -77,6 +77,8 @@ def write_checkpoint(path: Path, facts: Mapping[str, Any], arrays: Mapping[str, 
         # Renamed before the data are on the disk, it could be whole in name only after a power failure.
         stream.flush()
         os.fsync(stream.fileno())
+    with suppress(OSError):  # the older one is as good
+        settle_names(path.parent)
 
 
 def _plain(value: Any) -> Any:

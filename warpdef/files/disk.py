@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import secrets
@@ -90,14 +91,15 @@ def abandoned(path: Path, ending: str) -> list[Path]:
         return []
     pattern = re.compile(rf"\.{re.escape(path.name)}\.{_machine()}-([0-9a-f]+)-[0-9a-f]{{8}}\.{ending}")
     found = [(p, pattern.fullmatch(p.name)) for p in path.parent.glob(f".*.{ending}")]
-    return [p for p, match in found if match and not _alive(int(match[1], 16))]
+    return [p for p, match in found if match and not is_alive(int(match[1], 16))]
 
 
 def _machine() -> str:
     return f"{zlib.crc32(socket.gethostname().encode()) & 0xFFFF:04x}"
 
 
-def _alive(process: int) -> bool:
+def is_alive(process: int) -> bool:
+    """Whether a process of this number runs on this machine."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -129,3 +131,34 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def settle(folder: Path) -> None:
+    """Have everything in ``folder``, and it itself, on the disk: what is renamed or deleted afterwards comes later.
+
+    Raises:
+        OSError: it could not be written after all.
+    """
+    for base, _, names in os.walk(folder):
+        for name in names:
+            _settle_one(Path(base) / name)
+        settle_names(Path(base))
+
+
+def settle_names(folder: Path) -> None:
+    """Have the names in ``folder`` on the disk, after a renaming."""
+    if os.name == "posix":
+        try:
+            _settle_one(folder)
+        except OSError as error:
+            # Not every file system can do that with a folder, and not every folder may be read.
+            if error.errno in (errno.EIO, errno.ENOSPC, errno.EDQUOT):
+                raise
+
+
+def _settle_one(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

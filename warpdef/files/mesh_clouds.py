@@ -9,6 +9,7 @@ import numpy as np
 from warpdef.files.surface import Surface
 from warpdef.geometry.sampling import sample_surface
 from warpdef.geometry.triangles import face_areas, is_watertight, signed_volume
+from warpdef.mesh import check_faces
 from warpdef.sequence import Cloud
 
 POINTS_LEAST = 5000  # drawn
@@ -41,8 +42,13 @@ def cloud_of(surface: Surface, name: str) -> tuple[Cloud, bool]:
 
     Args:
         name: of the frame, which the draw depends on, so that frames share no places.
+
+    Raises:
+        InputError: a face names a point that is not there.
     """
     faces = surface.faces
+    if faces is not None and len(faces):
+        faces = check_faces(faces, len(surface.points), name)
     if faces is None or is_even(surface):
         return (surface.points, surface.normals), False
     rng = np.random.default_rng(zlib.crc32(name.encode()))

@@ -12,7 +12,7 @@
     metrics.json   added by an evaluation
 
 It is written under a hidden name beside its place and renamed at the end. Beside it, while a run is unfinished, lies
-its checkpoint, ``.NAME.checkpoint``. ``saved_run`` reads it back.
+its checkpoint, ``.NAME.checkpoint``, and while it runs a lock (``place_lock``). ``saved_run`` reads it back.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from warpdef.appearance import Appearance
 from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.files.config_file import config_to_toml
-from warpdef.files.disk import abandoned, reason, replacing, sibling
+from warpdef.files.disk import abandoned, reason, replacing, settle, settle_names, sibling
 from warpdef.files.json_text import json_text
 from warpdef.files.numpy_files import write_npz
 from warpdef.files.ply import write_ply
@@ -165,7 +165,11 @@ class RunFolder:
             write_text(temporary / "config.toml", config_to_toml(config))
             write_text(temporary / "steps.jsonl", "".join(json_text(step, None) + "\n" for step in steps))
             write_text(temporary / "report.json", json_text(report() if callable(report) else report) + "\n")
-            return _move_into_place(temporary, self.path, self.overwrite)
+            # Its checkpoint may go as soon as this returns: until then, a power failure must find one of the two.
+            settle(temporary)
+            place = _move_into_place(temporary, self.path, self.overwrite)
+            settle_names(place.parent)
+            return place
         except OSError as error:
             raise InputError(
                 f"{self.path}: cannot be written ({reason(error)}); choose another place or free space"

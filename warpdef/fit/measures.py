@@ -6,12 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-_NEIGHBOURS = 16  # of a point, for the local shape of its cloud
-COMPLETE = 0.87
-"""Share of the largest frame's area from which a cloud shows all of the surface; whole bodies in motion keep 0.9."""
-COMPLETE_TEMPLATE = 0.7
-"""Share of the template's area that it must have as well; thin limbs and few points cost whole bodies up to 0.24."""
-_JUDGED = 100  # points from which a cloud's area says something
+from warpdef.geometry.coverage import AREA_NEIGHBOURS, area_of_discs, complete_frames
 
 
 class CloudMeasures:
@@ -19,10 +14,11 @@ class CloudMeasures:
 
     Args:
         clouds: T arrays (N_t, 3) float64. surface_area: of the template, in the square of their unit.
+        share: of the fullest frame's area, from which a frame is complete.
     """
 
-    def __init__(self, clouds: list[np.ndarray], surface_area: float) -> None:
-        self._clouds, self._surface_area = clouds, surface_area
+    def __init__(self, clouds: list[np.ndarray], surface_area: float, share: float) -> None:
+        self._clouds, self._surface_area, self._share = clouds, surface_area, share
 
     @cached_property
     def spacing(self) -> np.ndarray:
@@ -37,10 +33,8 @@ class CloudMeasures:
     @cached_property
     def complete(self) -> np.ndarray:
         """Which frames show all of the surface, by their area, shape (T,) bool."""
-        area, whole = self._local_shape[2], self._surface_area
-        # Noise adds to a cloud's area: what exceeds the template's says nothing.
-        least = max(COMPLETE * min(area.max(), whole), COMPLETE_TEMPLATE * whole)
-        return (area >= least) | (np.array([len(c) for c in self._clouds]) < _JUDGED)
+        sizes = np.array([len(c) for c in self._clouds])
+        return complete_frames(self._local_shape[2], sizes, self._share, self._surface_area)
 
     @cached_property
     def _local_shape(self) -> np.ndarray:
@@ -49,14 +43,12 @@ class CloudMeasures:
 
         found = []
         for cloud in self._clouds:
-            distance, index = cKDTree(cloud).query(cloud, k=min(_NEIGHBOURS, len(cloud)))
+            distance, index = cKDTree(cloud).query(cloud, k=min(AREA_NEIGHBOURS, len(cloud)))
             near = cloud[index]
             near -= near.mean(axis=1, keepdims=True)
             spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near))
             thin, wide = np.sqrt(np.maximum(np.median(spread[:, :2], axis=0), 0.0))
-            # As many points stand for the disc to the last neighbour as lie inside it.
-            area = np.pi * (distance[:, -1] ** 2).sum() / max(distance.shape[1] - 1, 1)
-            found.append((distance[:, 1].mean(), thin / max(wide, 1e-12), area))
+            found.append((distance[:, 1].mean(), thin / max(wide, 1e-12), area_of_discs(distance)))
         return np.array(found).T
 
 

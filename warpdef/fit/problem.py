@@ -104,7 +104,7 @@ class Problem:
     def measures(self) -> CloudMeasures:
         """Of the clouds, against the template's area."""
         area = float(face_areas(self.template, self.faces).sum())
-        return CloudMeasures(self.by_frame(self.cloud.numpy()), area)
+        return CloudMeasures(self.by_frame(self.cloud.numpy()), area, self.config.keyframe.coverage_min)
 
     @cached_property
     def border(self) -> np.ndarray | None:

@@ -12,8 +12,8 @@ from warpdef.config import TemplateConfig
 from warpdef.errors import InputError
 from warpdef.geometry import triangles
 from warpdef.geometry.cloud_normals import estimate_normals, repair_normals
+from warpdef.geometry.coverage import objects_of
 from warpdef.mesh import TriMesh
-from warpdef.template.clusters import point_clusters
 from warpdef.template.cut import cut_at_zero
 from warpdef.template.poisson import Backend, load_backend
 from warpdef.template.support import Support
@@ -163,7 +163,7 @@ def _keep_objects(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -
     component = np.zeros(len(vertices), dtype=np.int64)
     component[faces.ravel()] = np.repeat(labels, 3)
     met = component[cKDTree(vertices).query(points)[1]]
-    objects = point_clusters(points)
+    objects = objects_of(points)
     kept = np.unique([np.bincount(met[objects == k]).argmax() for k in range(objects.max() + 1)])
     stays = np.isin(labels, kept)
     areas = triangles.face_areas(vertices, faces)

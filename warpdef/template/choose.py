@@ -13,6 +13,7 @@ from warpdef.geometry import triangles
 from warpdef.mesh import TriMesh
 from warpdef.template.build import FLIPPED_WARN, TemplateReport, build
 from warpdef.template.keyframe import rank_keyframes, spread_out
+from warpdef.template.place import align, require_place
 from warpdef.template.poisson import load_backend
 from warpdef.template.quality import GateReport, judge
 
@@ -106,20 +107,23 @@ def choose_template(
         raise InputError(f"no template: {warnings[-1]}; give a mesh of your own with --template")
     best = min(failed, key=lambda c: c.gate.score)
     warnings += best.warnings
-    if best.gate.far_share > config.template.far_share_max:
-        advice = (
-            "an open or partly seen surface cannot be closed well: check the template, set template.surface to open, "
-            "or give your own with --template"
-        )
-    else:
-        advice = (
-            "a thin limb may be lost: try more points, a larger template.attempts, or your own mesh with --template"
-        )
+    advice = _advice(best, config, len(clouds))
     warnings.append(
         f"no keyframe passed the template gate; using the best, frame {best.keyframe}, though "
         f"{' and '.join(best.gate.failures)}; {advice}"
     )
     return replace(best, warnings=warnings)
+
+
+def _advice(best: ChosenTemplate, config: Config, frame_count: int) -> str:
+    """What to try, without what is in force already."""
+    if best.gate.far_share > config.template.far_share_max:
+        is_open = best.report.surface == "open" or config.template.surface == "open"
+        tries = "check the template, " + ("" if is_open else "set template.surface to open, ")
+        return f"an open or partly seen surface cannot be closed well: {tries}or give your own with --template"
+    more = "more points, " if config.points else ""
+    more += "a larger template.attempts, " if config.template.attempts < frame_count else ""
+    return f"a thin limb may be lost: try {more}or your own mesh with --template".replace("try or ", "try ")
 
 
 def _cost(frame: int, handles: int, frame_count: int) -> float:
@@ -155,8 +159,11 @@ def accept_user_template(mesh: TriMesh, clouds: Sequence[np.ndarray], config: Co
         config: the whole configuration; ``seed``, ``keyframe`` and ``template`` matter here.
 
     Raises:
-        InputError: the keyframe asked for does not exist, or the mesh has no area.
+        InputError: the keyframe asked for does not exist, the mesh has no area, or it lies elsewhere, is far larger or
+            smaller or turned (``place``); with ``template.align`` it is placed first, on a keyframe that must be named.
     """
+    if config.template.align and config.keyframe.choice == "auto":
+        raise InputError("--align-template: name the frame that the template belongs to with --keyframe")
     if not triangles.face_areas(mesh.vertices, mesh.faces).sum() > 0:
         raise InputError("--template: expected a surface with an area above 0, got only degenerate faces")
     warnings = []
@@ -171,7 +178,11 @@ def accept_user_template(mesh: TriMesh, clouds: Sequence[np.ndarray], config: Co
     else:
         candidate = rank_keyframes(clouds, config.keyframe)[0]
         frame, why = candidate.frame, candidate.why
+    if config.template.align:
+        mesh, done = align(mesh, clouds[frame], config.seed)
+        warnings.append(f"the template given was {done}, to lie on keyframe {frame}")
     gate = judge(mesh, clouds[frame], config.template, config.seed)
+    require_place(mesh, clouds[frame], gate.missed_share, config.seed)
     warnings += [f"the template given for keyframe {frame}: {failure}" for failure in gate.failures]
     unused = len(mesh.vertices) - len(np.unique(mesh.faces))
     if unused:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
 from warpdef.config import KeyframeConfig
 from warpdef.errors import InputError
-from warpdef.template.clusters import OBJECT_SHARE
+from warpdef.geometry.coverage import complete_frames, object_count, shares_of_fullest, shown_area
 
-POINTS_A_CELL = 8.0  # of the coarse grid on which frames are compared
+SAMPLE = 2500  # points of a frame from which its area and its objects are told
 SPREAD = 0.12  # of the frames: how far apart in time further keyframes should be
 
 
@@ -24,10 +23,10 @@ class KeyframeCandidate:
     occupied_voxels: cells of the grid over [-1, 1]^3 that hold a point
     weight:          Gaussian of the distance to the temporal middle, 0 to 1
     score:           occupied_voxels * weight
-    coverage:        occupied cells of a coarse grid, relative to the frame with most; it shows missing surface, which
-                     fine voxels do not once they hold no more than a point each
-    full:            whether the coverage reaches ``coverage_min``
-    objects:         pieces of the cloud that no occupied cell of the coarse grid joins
+    coverage:        area that it shows, relative to the frame with most; it tells of missing surface, which fine voxels
+                     do not once they hold no more than a point each
+    full:            whether that is complete (``geometry.coverage``)
+    objects:         clusters of its points
     why:             one sentence for the report
     """
 
@@ -39,6 +38,19 @@ class KeyframeCandidate:
     full: bool
     objects: int
     why: str
+
+
+def require_keyframe(config: KeyframeConfig, frame_count: int) -> None:
+    """Check a keyframe given by its number.
+
+    Raises:
+        InputError: the sequence has no such frame.
+    """
+    if config.choice.isdecimal() and int(config.choice) >= frame_count:
+        raise InputError(
+            f"--keyframe: expected auto, first, middle or a frame in 0..{frame_count - 1}, got {int(config.choice)}; "
+            f"the sequence has {frame_count} frames, counted from 0"
+        )
 
 
 def rank_keyframes(clouds: Sequence[np.ndarray], config: KeyframeConfig) -> list[KeyframeCandidate]:
@@ -63,23 +75,19 @@ def rank_keyframes(clouds: Sequence[np.ndarray], config: KeyframeConfig) -> list
         frames = [t for t in range(frame_count) if len(clouds[t])]
     else:
         frame = named[config.choice] if config.choice in named else int(config.choice)
-        if frame >= frame_count:
-            raise InputError(
-                f"--keyframe: expected auto, first, middle or a frame in 0..{frame_count - 1}, got {frame}; "
-                f"the sequence has {frame_count} frames, counted from 0"
-            )
+        require_keyframe(config, frame_count)
         if not len(clouds[frame]):
             raise InputError(f"--keyframe: frame {frame} has no usable points; choose another frame")
         frames = [frame]
 
-    coverage, objects = compare_frames([clouds[frame] for frame in frames])
+    area, sizes, objects = compare_frames([clouds[frame] for frame in frames])
+    coverage, complete = shares_of_fullest(area, sizes), complete_frames(area, sizes, config.coverage_min)
     scored = []
-    for frame, seen, apart in zip(frames, coverage, objects, strict=True):
+    for frame, seen, full, apart in zip(frames, coverage, complete, objects, strict=True):
         occupied = occupied_voxels(clouds[frame], config.voxels)
         weight = float(np.exp(-config.gamma * (frame - middle) ** 2))
-        full = bool(seen >= config.coverage_min)
         score = occupied * weight
-        scored.append(KeyframeCandidate(frame, occupied, weight, score, float(seen), full, int(apart), ""))
+        scored.append(KeyframeCandidate(frame, occupied, weight, score, float(seen), bool(full), int(apart), ""))
     scored.sort(key=lambda c: (not c.full, -c.objects, -c.score, abs(c.frame - middle), c.frame))
     full = [c for c in scored if c.full]
     ranked = []
@@ -115,44 +123,27 @@ def spread_out(ranked: list[KeyframeCandidate], count: int) -> list[KeyframeCand
     return chosen
 
 
-def compare_frames(clouds: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Coverage, relative to the frame with most, and number of objects; both of shape (T,).
+def compare_frames(clouds: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Area that each frame shows, how many of its points were asked, and number of its objects; all of shape (T,).
 
-    Both on one grid for all frames, whose cells hold ``POINTS_A_CELL`` points in the frame of median density.
+    Of a large cloud ``SAMPLE`` points speak for all.
     """
-    cells = 128
-    counts = [_cells(cloud, cells)[1] for cloud in clouds]
-    while cells > 4 and np.median([n.mean() for n in counts]) < POINTS_A_CELL:
-        cells = cells * 3 // 4
-        counts = [_cells(cloud, cells)[1] for cloud in clouds]
-    coverage = np.array([len(n) for n in counts], dtype=np.float64)
-    return coverage / coverage.max(), np.array([_objects(cloud, cells) for cloud in clouds])
+    samples = [_sample(cloud) for cloud in clouds]
+    area = np.array([shown_area(sample) for sample in samples])
+    return area, np.array([len(s) for s in samples]), np.array([object_count(sample) for sample in samples])
 
 
-def _objects(points: np.ndarray, cells: int) -> int:
-    """Pieces with at least ``OBJECT_SHARE`` of the points, joined by cells that share at least a corner."""
-    from scipy.ndimage import label
-
-    where, count = _cells(points, cells)
-    grid = np.zeros((cells,) * 3, dtype=np.int64)
-    grid[where[:, 0], where[:, 1], where[:, 2]] = count
-    # Without an array to write to, it returns both; SciPy says so in words only.
-    labels, pieces = cast("tuple[np.ndarray, int]", label(grid > 0, np.ones((3, 3, 3))))
-    size = np.bincount(labels.ravel(), grid.ravel(), minlength=pieces + 1)[1:]
-    return max(int((size >= OBJECT_SHARE * len(points)).sum()), 1)
-
-
-def _cells(points: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Occupied cells of a ``cells``^3 grid over [-1, 1]^3, shape (M, 3), and how many points each holds, shape (M,)."""
-    cell = np.clip(np.floor((np.asarray(points) + 1.0) * (cells / 2.0)).astype(np.int64), 0, cells - 1)
-    x, y, z = cell.T
-    key, count = np.unique((x * cells + y) * cells + z, return_counts=True)
-    return np.stack([key // cells**2, key // cells % cells, key % cells], axis=1), count
+def _sample(points: np.ndarray) -> np.ndarray:
+    if len(points) <= SAMPLE:
+        return points
+    return points[np.random.default_rng(0).choice(len(points), SAMPLE, replace=False)]
 
 
 def occupied_voxels(points: np.ndarray, voxels: int) -> int:
     """Number of cells of a ``voxels``^3 grid over [-1, 1]^3 that hold at least one of the points (N, 3)."""
-    return len(_cells(points, voxels)[1])
+    cell = np.clip(np.floor((np.asarray(points) + 1.0) * (voxels / 2.0)).astype(np.int64), 0, voxels - 1)
+    x, y, z = cell.T
+    return len(np.unique((x * voxels + y) * voxels + z))
 
 
 def _why(choice: str, rank: int, count: int, occupied: int, weight: float) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 
 from warpdef.config import TemplateConfig
 from warpdef.geometry import triangles
+from warpdef.geometry.coverage import object_count
 from warpdef.mesh import TriMesh
-from warpdef.template.clusters import point_clusters
 
 SAMPLES = 20_000
 
@@ -75,7 +75,7 @@ def judge(mesh: TriMesh, points: np.ndarray, config: TemplateConfig, seed: int, 
     watertight = triangles.is_watertight(mesh.faces)
     volume = triangles.signed_volume(mesh.vertices, mesh.faces)
     components = int(triangles.face_components(mesh.faces).max()) + 1
-    objects = int(point_clusters(points).max()) + 1
+    objects = object_count(points)
     loops, euler = triangles.boundary_loops(mesh.faces), triangles.euler_number(mesh.faces)
     spacing, far_share, missed_share = far_shares(mesh, points, config.far_spacings, seed)
 

@@ -16,23 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpdef.geometry.coverage import point_areas
+
 BANDWIDTH = 1.5  # standard deviation of the Gaussian, in sqrt(area of a point)
-AREA_NEIGHBOURS = 16
 SUM_NEIGHBOURS = 48  # hold more than the Gaussian reaches
-INNER_QUANTILE = 0.35  # of the areas around a point: a border point's own one is up to twice too large
 BORDER_NEIGHBOURS = 24
 BORDER_GAP = 2.1  # radians without a neighbour, seen from a border point; 120 degrees
 BORDER_SHIFT = 0.3  # of the neighbourhood's radius; the centroid of half a disc lies at 0.42
-
-
-def point_areas(points: np.ndarray) -> np.ndarray:
-    """Area that each point stands for, shape (N,): of the disc to its 16th neighbour, made robust at borders."""
-    from scipy.spatial import cKDTree
-
-    count = min(AREA_NEIGHBOURS, len(points) - 1)
-    distance, index = cKDTree(points).query(points, k=count + 1)
-    area = np.pi * distance[:, -1] ** 2 / count
-    return np.maximum(np.quantile(area[index], INNER_QUANTILE, axis=1), 1e-300)
 
 
 @dataclass(frozen=True)
