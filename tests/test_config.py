@@ -8,6 +8,7 @@ import pytest
 
 from warpdef.config import Config, OptimiserConfig, parse_slice
 from warpdef.errors import ConfigError
+from warpdef.files.config_file import config_from_mapping
 from warpdef.presets import PRESETS, preset
 
 POSITIVE = ([0, -1.0], [1e-6, 3.0])
@@ -198,3 +199,30 @@ def test_parse_slice(text, expected):
 def test_parse_slice_refuses(text):
     with pytest.raises(ConfigError, match=r"frames: expected start:stop or start:stop:step, as 10:27, got"):
         parse_slice(text)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"template": {"faces_max": 2 * 10**9}},
+        {"optimiser": {"iterations": 10**20}},
+        {"optimiser": {"iterations_per_frame": 1e20}},
+        {"optimiser": {"epsilon": 1e-300}},
+        {"refine": {"reach": 1e300}},
+        {"refine": {"iterations": 10**9}},
+        {"sobolev": {"lambda_growth": 1e30}},
+        {"loss": {"isometry_weight": float("inf")}},
+        {"keyframe": {"choice": "9" * 5000}},
+        {"points": 10**12},
+        {"seed": 2**64},
+    ],
+    ids=lambda values: str(values)[:40],
+)
+def test_numbers_without_bound_are_refused(values: dict) -> None:
+    with pytest.raises(ConfigError, match="configuration: .*: expected ") as error:
+        config_from_mapping(values)
+    assert len(str(error.value)) < 200
+
+
+def test_large_numbers_that_make_sense_pass() -> None:
+    config_from_mapping({"seed": 2**63 - 1, "points": 10**8, "optimiser": {"iterations": 10**6}, "fill": 1e-6})

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
+import ssl
 import sys
 import threading
 import time
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
 from experiment_samples import tiny_plan, write_ball
 
-from warpdef.apps.experiments.cluster import _of_this_code, local_slots, on_cluster
+from warpdef.apps.experiments.cluster import _connect, _of_this_code, local_slots, on_cluster
 from warpdef.apps.experiments.run import Run, with_values
 from warpdef.apps.experiments.session import here
 from warpdef.datasets import find_sequences
 from warpdef.errors import DeviceError, InputError, MissingPackageError
 
 distributed = pytest.importorskip("distributed")
+psutil = pytest.importorskip("psutil")  # comes with it
 
 
 @pytest.fixture(scope="module")
@@ -135,3 +139,22 @@ def test_one_worker_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [slot.device for slot in slots] == ["cuda:0", "cuda:1"]
     assert [slot.cores for slot in slots] == [(0, 1, 2, 3), (4, 5, 6, 7)]
     assert [slot.device for slot in local_slots("cuda:0", None, None)] == ["cuda:0"]
+
+
+def test_our_own_cluster_is_for_this_user_alone() -> None:
+    """All of it listens on loopback, none on the dashboard's usual port, and who has no certificate is turned away."""
+    with ExitStack() as stack:
+        client = _connect("", 1, stack)
+        address = client.scheduler.address
+        family = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        listening = [c.laddr for p in family for c in p.net_connections("tcp") if c.status == psutil.CONN_LISTEN]
+        assert len(listening) >= 4 and {at.ip for at in listening} == {"127.0.0.1"}
+        assert 8787 not in {at.port for at in listening}
+        assert address.startswith("tls://127.0.0.1:")
+        context = ssl.create_default_context()
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        host, port = address.removeprefix("tls://").split(":")
+        with pytest.raises((ssl.SSLError, ConnectionError)):
+            with socket.create_connection((host, int(port))) as plain, context.wrap_socket(plain) as stranger:
+                assert not stranger.recv(1)  # in TLS 1.3 the refusal comes with the first bytes
+                raise ConnectionError("closed")

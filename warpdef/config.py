@@ -14,7 +14,7 @@ the ``default`` preset; for others see ``presets``.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 from warpdef.errors import ConfigError
 
@@ -23,10 +23,25 @@ BASE_FRAMES = 17
 WARMUP_SHARE = 2 / 3
 """Of all iterations: at most so many are warm-up in a longer sequence."""
 
+COUNT_MOST = 10**7
+NUMBER_LEAST, NUMBER_MOST = 1e-30, 1e9
+_MOST = {"points": 10**9, "seed": 2**63 - 1}
+
 
 def _require(ok: bool, key: str, expected: str, got: object) -> None:
     if not ok:
-        raise ConfigError(f"configuration: {key}: expected {expected}, got {got!r}")
+        raise ConfigError(f"configuration: {key}: expected {expected}, got {got!r:.60}")
+
+
+def _require_sane(group: Any, prefix: str = "") -> None:
+    """Refuse numbers that no run could hold or that single precision cannot say, whatever their own bounds."""
+    for name, value in vars(group).items():
+        if type(value) is int:
+            most = _MOST.get(name, COUNT_MOST)
+            _require(abs(value) <= most, prefix + name, f"at most {most}", value)
+        elif type(value) is float:
+            ok = value == 0 or NUMBER_LEAST <= abs(value) <= NUMBER_MOST
+            _require(ok, prefix + name, f"0 or from {NUMBER_LEAST:g} to {NUMBER_MOST:g}", value)
 
 
 @dataclass(frozen=True)
@@ -45,11 +60,12 @@ class KeyframeConfig:
 
     def __post_init__(self) -> None:
         named = self.choice in ("auto", "first", "middle")
-        known = named or self.choice.isdecimal()
+        known = named or (self.choice.isdecimal() and len(self.choice) < 10)
         _require(known, "keyframe.choice", "auto, first, middle or an index from 0", self.choice)
         _require(1 <= self.voxels <= 1024, "keyframe.voxels", "1 to 1024", self.voxels)
         _require(self.gamma >= 0, "keyframe.gamma", "a number from 0", self.gamma)
         _require(0 <= self.coverage_min <= 1, "keyframe.coverage_min", "0 to 1", self.coverage_min)
+        _require_sane(self, "keyframe.")
 
 
 @dataclass(frozen=True)
@@ -99,6 +115,7 @@ class TemplateConfig:
         _require(0 <= self.far_share_max <= 1, "template.far_share_max", "0 to 1", self.far_share_max)
         _require(0 <= self.missed_share_max <= 1, "template.missed_share_max", "0 to 1", self.missed_share_max)
         _require(self.attempts >= 1, "template.attempts", "at least 1", self.attempts)
+        _require_sane(self, "template.")
 
 
 @dataclass(frozen=True)
@@ -118,6 +135,7 @@ class GridConfig:
         _require(1 <= self.levels <= 16, "grid.levels", "1 to 16", self.levels)
         _require(1 <= self.coarsest <= self.levels, "grid.coarsest", f"1 to grid.levels ({self.levels})", self.coarsest)
         _require(self.prune_cells >= 0, "grid.prune_cells", "0 or more", self.prune_cells)
+        _require_sane(self, "grid.")
 
 
 @dataclass(frozen=True)
@@ -156,6 +174,7 @@ class SobolevConfig:
         )
         _require(0 < self.tolerance < 1, "sobolev.tolerance", "between 0 and 1", self.tolerance)
         _require(self.iterations_max >= 1, "sobolev.iterations_max", "at least 1", self.iterations_max)
+        _require_sane(self, "sobolev.")
 
 
 @dataclass(frozen=True)
@@ -194,6 +213,7 @@ class LossConfig:
         _require(
             self.confidence_bound in ("max", "mean"), "loss.confidence_bound", "max or mean", self.confidence_bound
         )
+        _require_sane(self, "loss.")
 
 
 @dataclass(frozen=True)
@@ -239,6 +259,7 @@ class OptimiserConfig:
         _require(self.decay in ("constant", "cosine"), "optimiser.decay", "constant or cosine", self.decay)
         for key in ("beta1", "beta2"):
             _require(0 <= getattr(self, key) < 1, f"optimiser.{key}", "from 0 to below 1", getattr(self, key))
+        _require_sane(self, "optimiser.")
 
     def for_length(self, frame_count: int) -> OptimiserConfig:
         """The same with the rate and the warm-up of a sequence of ``frame_count`` frames."""
@@ -292,6 +313,7 @@ class RefineConfig:
         _require(0 <= self.shape_step < 2, "refine.shape_step", "from 0 to below 2", self.shape_step)
         _require(0 < self.tolerance < 1, "refine.tolerance", "between 0 and 1", self.tolerance)
         _require(self.iterations_max >= 1, "refine.iterations_max", "at least 1", self.iterations_max)
+        _require_sane(self, "refine.")
 
 
 @dataclass(frozen=True)
@@ -332,6 +354,7 @@ class Config:
         _require(self.seed >= 0, "seed", "0 or more", self.seed)
         exact_on_pruned = self.sobolev.solver == "cosine" and self.grid.prune
         _require(not exact_on_pruned, "sobolev.solver", "cg, warp or auto where grid.prune is true", "cosine")
+        _require_sane(self)
 
 
 def parse_box(text: str) -> tuple[list[float], list[float]]:

@@ -20,6 +20,7 @@ CORES_A_WORKER = 2
 DEATHS_ALLOWED = 3
 """Workers that one run may lose before it is given up."""
 _CONNECT_S = "20s"
+_LOOPBACK = "127.0.0.1"
 
 
 @dataclass(frozen=True)
@@ -125,16 +126,10 @@ def _of_this_code(run: Run, result: dict[str, Any]) -> dict[str, Any] | Exceptio
 
 
 def _connect(address: str, workers: int, stack: ExitStack) -> Any:
-    from dask import config as dask_config  # pyright: ignore[reportPrivateImportUsage] - the documented way to it
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     if not address:
-        # Read by the scheduler when it starts.
-        stack.enter_context(dask_config.set({"distributed.scheduler.allowed-failures": DEATHS_ALLOWED}))
-        # No share of memory a worker: Dask would kill a run that may well use what its neighbours do not.
-        no_dashboard: Any = None  # as documented; the annotation knows strings alone
-        cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=no_dashboard, memory_limit=0)
-        return stack.enter_context(Client(stack.enter_context(cluster)))
+        return stack.enter_context(Client(stack.enter_context(_local_cluster(workers, stack))))
     try:
         client = stack.enter_context(Client(address, timeout=_CONNECT_S))
     except (OSError, TimeoutError, ValueError) as error:
@@ -147,6 +142,41 @@ def _connect(address: str, workers: int, stack: ExitStack) -> Any:
             f"start them with: dask worker {address} --nthreads 1"
         )
     return client
+
+
+def _local_cluster(workers: int, stack: ExitStack) -> Any:
+    """Workers of this machine, for this user: all listen on loopback only, and ask for a certificate made for this run.
+
+    Whoever reaches a scheduler may run code as its user, so other users of this machine must not.
+    """
+    from dask import config as dask_config  # pyright: ignore[reportPrivateImportUsage] - the documented way to it
+    from distributed import LocalCluster, Security
+
+    try:
+        security = Security.temporary()
+    except ImportError:
+        raise MissingPackageError(
+            "--workers dask needs cryptography for certificates; install it with: pip install 'warpdef[cluster]'"
+        ) from None
+    settings: dict[str, Any] = {
+        "distributed.scheduler.allowed-failures": DEATHS_ALLOWED,
+        # Without a dashboard Dask still serves pages; without routes they hold nothing.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
+    }
+    stack.enter_context(dask_config.set(settings))  # read by the scheduler when it starts
+    return LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        host=_LOOPBACK,
+        protocol="tls://",
+        security=security,
+        # An address, not None: that would be port 8787 of all interfaces. Any free port of loopback.
+        dashboard_address=f"{_LOOPBACK}:0",
+        worker_dashboard_address=f"{_LOOPBACK}:0",
+        # No share of memory a worker: Dask would kill a run that may well use what its neighbours do not.
+        memory_limit=0,
+    )
 
 
 def _work(run: Run, slots: list[Slot], device: str, threads: int | None, keep: Path | None) -> dict[str, Any]:
