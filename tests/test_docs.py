@@ -159,7 +159,7 @@ def anchors(text: str) -> set[str]:
 
 
 def test_what_to_change_where_is_true() -> None:
-    """In the table every name in code that follows a file stands in that file."""
+    """In the table every name in code that follows a file is defined in that file."""
     rows = re.findall(r"^\| .+ \|$", README.split("## Where to change what")[1].split("\n## ")[0], re.MULTILINE)[2:]
     assert len(rows) == 6
     missing = []
@@ -168,7 +168,7 @@ def test_what_to_change_where_is_true() -> None:
         for span in spans(row):
             if (ROOT / span).is_file():
                 text, files = (ROOT / span).read_text(encoding="utf-8"), files + 1
-            elif re.fullmatch(r"\w+", span) and not re.search(rf"\b{span}\b", text):
+            elif re.fullmatch(r"\w+", span) and not re.search(rf"^ *(def|class) {span}\b|^{span}\b.*=", text, re.M):
                 missing.append(span)
         assert files, row
     assert missing == []
