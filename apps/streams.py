@@ -54,8 +54,9 @@ class Guarded(io.TextIOBase):
             self._stream = open(os.devnull, "w")
             return
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, descriptor)
-        os.close(nowhere)
+        if nowhere != descriptor:  # else it was closed, and is open again
+            os.dup2(nowhere, descriptor)
+            os.close(nowhere)
         with contextlib.suppress(OSError, ValueError):
             self._stream.flush()
 

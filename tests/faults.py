@@ -19,6 +19,9 @@ from pathlib import Path
 
 import numpy as np
 from fault_bench import Bench
+from foreign_headers import make_foreign
+
+from warpdef.files.place_lock import claimed
 
 
 def killed(bench: Bench) -> bool:
@@ -41,6 +44,60 @@ def interrupted(bench: Bench) -> bool:
     if code == 0:
         return bench.same()
     return code == 130 and bench.tidy() and bench.ends_well()
+
+
+def told_to_end(bench: Bench) -> bool:
+    """SIGTERM or SIGHUP at some moment: as Ctrl-C, with the signal's own exit code."""
+    number = signal.SIGTERM if bench.rng.random() < 0.5 else signal.SIGHUP
+    # As a shell starts a program; the process that this one is forked from may have been told to ignore it.
+    code = bench.begin(
+        after=bench.moment(), with_signal=number, prepare=lambda: signal.signal(number, signal.SIG_DFL)
+    ).code
+    if code == 0:
+        return bench.same()
+    # Before the program has its handlers the signal ends it as it ends any other.
+    return code in (128 + number, -number) and bench.tidy() and bench.ends_well()
+
+
+def no_one_listens(bench: Bench) -> bool:
+    """Standard output, error or both closed, full, or a pipe whose reader has left: the same result."""
+    chosen = [(1,), (2,), (1, 2)][bench.rng.integers(3)]
+    way = bench.rng.integers(3)
+
+    def deafen() -> None:
+        for descriptor in chosen:
+            if way == 0:
+                os.close(descriptor)
+            elif way == 1:
+                os.dup2(os.open("/dev/full", os.O_WRONLY), descriptor)
+            else:
+                ear, mouth = os.pipe()
+                os.dup2(mouth, descriptor)
+                os.close(ear)
+                os.close(mouth)
+
+    return bench.begin(prepare=deafen).code == 0 and bench.same()
+
+
+def checkpoint_foreign(bench: Bench) -> bool:
+    """A checkpoint that is whole but says something else, as another warpdef's would: gone on with, or a reason."""
+    bench.begin_and_die()
+    make_foreign(bench.checkpoint, bench.rng)
+    outcome = bench.resume()
+    if outcome.code == 0:
+        return bench.tidy() and bench.out.exists()
+    return outcome.refused and bench.begin("--overwrite").code == 0 and bench.same()
+
+
+def place_taken(bench: Bench) -> bool:
+    """Another run holds the place, at the start or where one was killed: a reason that names it; then as if not."""
+    if bench.rng.random() < 0.5:
+        bench.begin_and_die()
+    with claimed(bench.out):
+        outcome = bench.go_on()
+        if not outcome.refused or f"process {os.getpid()} on " not in outcome.said or bench.out.exists():
+            return False
+    return bench.ends_well()
 
 
 def out_of_time(bench: Bench) -> bool:
@@ -193,12 +250,16 @@ FAULTS: dict[str, Callable[[Bench], bool]] = {
     "killed (SIGKILL) at a random moment": killed,
     "killed five times over": killed_again_and_again,
     "Ctrl-C at a random moment": interrupted,
+    "SIGTERM or SIGHUP at a random moment": told_to_end,
+    "standard streams closed, full or without a reader": no_one_listens,
     "time limit at a random moment": out_of_time,
     "disk full (files limited to 100 B to 1 MB)": disk_full,
     "folder made read-only at a random moment": read_only,
     "killed, input moved away": input_gone,
     "killed, one point of one frame changed": input_changed,
     "checkpoint truncated or a bit turned": checkpoint_damaged,
+    "checkpoint of another warpdef": checkpoint_foreign,
+    "place taken by another run": place_taken,
     "NaN or infinity at a random iteration": no_numbers,
     "out of memory at a random allocation": out_of_memory,
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -76,6 +77,14 @@ def test_every_promise_can_be_broken(trial, monkeypatch):
         monkeypatch.setattr("mutate.SECONDS_MAX", 0.2 if command is hangs else 30.0)
         found = broken_promise(trial, monkeypatch, command)
         assert found == problem or (command is takes_memory and "MiB for an input of 1 bytes" in found)
+
+
+def test_a_busy_machine_breaks_no_promise_and_waiting_for_ever_does(trial, monkeypatch):
+    monkeypatch.setattr("mutate.SECONDS_MAX", 0.2)
+    assert broken_promise(trial, monkeypatch, lambda arguments: time.sleep(0.5) or 0) == ""
+    monkeypatch.setattr("mutate.PATIENCE_MAX", 0.3)
+    waits = broken_promise(trial, monkeypatch, lambda arguments: time.sleep(60) or 0)
+    assert waits == "no end after 0.3 s of the clock"
 
 
 def test_the_same_try_is_the_same_damage(rng):
