@@ -65,6 +65,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     anything else is a defect of ours and keeps its traceback.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
+    open_missing_descriptors()
     with guarded_streams() as shown, ending_signals():
         code = _run(arguments)
         shown.flush()
@@ -104,7 +105,6 @@ def _say(text: str) -> None:
 
 def main() -> None:
     """Entry point of the ``warpdef`` console script."""
-    open_missing_descriptors()
     sys.exit(run())
 
 

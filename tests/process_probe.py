@@ -31,6 +31,7 @@ def peak_memory() -> int:
 
 def speaks(worker: subprocess.Popen, patience: float) -> bool:
     """Wait for a line of the worker, or until it has used so many seconds of processor time; idle, ten times that."""
+    assert worker.stdout is not None
     begin, used = time.monotonic(), _processor_seconds(worker.pid)
     while not select.select([worker.stdout], [], [], 1.0)[0]:
         if _processor_seconds(worker.pid) - used > patience or time.monotonic() - begin > 10 * patience:
