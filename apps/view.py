@@ -18,6 +18,7 @@ from warpdef.errors import InputError
 
 if TYPE_CHECKING:
     from warpdef.apps.viewer.actors import Look
+    from warpdef.apps.viewer.camera import Stand
     from warpdef.apps.viewer.content import Content
 
 Flag = Annotated[bool, Parameter(negative="")]
@@ -43,6 +44,9 @@ def view(
     up: Literal["y", "z"] = "y",
     unit: str = "input units",
     frame: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
+    azimuth: Annotated[float, Parameter(validator=Number(gte=-360, lte=360))] = 25.0,
+    elevation: Annotated[float, Parameter(validator=Number(gte=-89, lte=89))] = 12.0,
+    zoom: Annotated[float, Parameter(validator=Number(gte=0.01, lte=100))] = 1.0,
     size: str = "",
     screenshot: Path | None = None,
     sheet: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
@@ -65,12 +69,15 @@ def view(
             input's points; stretch and displacement: against the keyframe; confidence: how far a place can be trusted.
         cloud: Show the input cloud over the mesh.
         trajectories: Show the ways of some vertices.
-        wireframe: Show edges only.
+        wireframe: Show the edges of the triangles on the surface.
         flat: Shade every triangle by itself.
         fps: Frames a second.
         up: The axis that points up.
         unit: What the colour bar calls a length of 1.
         frame: The frame shown first, counted from 0.
+        azimuth: Where the camera stands, degrees about the up axis.
+        elevation: How high it stands, degrees above the ground.
+        zoom: How much nearer than where the whole motion is seen.
         size: Width and height of window or pictures, as 1280x720.
         screenshot: Write a picture, .png or .jpg.
         sheet: Make the picture a contact sheet of this many frames.
@@ -80,12 +87,15 @@ def view(
         overwrite: Replace older files.
     """
     from warpdef.apps.viewer.actors import Look
+    from warpdef.apps.viewer.camera import Stand
     from warpdef.apps.viewer.probe import RenderingProbe
 
     if sheet and screenshot is None:
         raise InputError("--sheet: expected --screenshot FILE.png for the picture, got none; name it")
     if turntable and movie is None:
         raise InputError("--turntable: expected --movie FILE for it, got none; name it")
+    if not output.exists():
+        raise InputError(f"{output}: nothing is there; expected the folder of a result, as reconstruct writes it")
     check_outputs(screenshot, movie, html, overwrite)
     width, height = parse_size(size)
     in_window = screenshot is None and movie is None and html is None
@@ -106,19 +116,20 @@ def view(
         )
         if frame >= len(content):
             raise InputError(f"--frame: expected 0..{len(content) - 1}, got {frame}")
+        stand = Stand(azimuth, elevation, zoom)
         look = Look(color, cloud, trajectories, wireframe, not flat)
         _check_look(content, look)
         if html is not None:
-            _write_html(content, look, html, fps, frame)
+            _write_html(content, look, html, fps, frame, stand)
         if probe is not None:
             probe.require()
     finally:
         if probe is not None:
             probe.stop()
     if in_window:
-        _open_window(content, look, (width, height), fps, frame, str(output))
+        _open_window(content, look, (width, height), fps, frame, str(output), stand)
     elif probe is not None:
-        _write_pictures(content, look, (width, height), fps, frame, screenshot, sheet, movie, turntable)
+        _write_pictures(content, look, (width, height), fps, frame, screenshot, sheet, movie, turntable, stand)
     return EXIT_OK
 
 
@@ -143,11 +154,11 @@ def _check_look(content: Content, look: Look) -> None:
         raise InputError("--cloud: expected the clouds that the result was made from; give --input")
 
 
-def _write_html(content: Content, look: Look, path: Path, fps: float, frame: int) -> None:
+def _write_html(content: Content, look: Look, path: Path, fps: float, frame: int, stand: Stand) -> None:
     from warpdef.apps.viewer.html import write_html
 
     started = time.perf_counter()
-    write_html(content, look, path, fps, frame)
+    write_html(content, look, path, fps, frame, stand)
     _report(path, started, f"{len(content)} frames")
 
 
@@ -161,13 +172,14 @@ def _write_pictures(
     sheet: int,
     movie: Path | None,
     turntable: bool,
+    stand: Stand,
 ) -> None:
     from warpdef.apps.viewer.movie import contact_sheet, save_picture, write_movie
     from warpdef.apps.viewer.scene import Scene
 
     with clean_stdout():
         # mp4 wants even numbers of pixels.
-        scene = Scene(content, off_screen=True, size=(size[0] // 2 * 2, size[1] // 2 * 2), look=look)
+        scene = Scene(content, off_screen=True, size=(size[0] // 2 * 2, size[1] // 2 * 2), look=look, stand=stand)
     try:
         if screenshot is not None:
             started = time.perf_counter()
@@ -184,13 +196,15 @@ def _write_pictures(
         scene.close()
 
 
-def _open_window(content: Content, look: Look, size: tuple[int, int], fps: float, frame: int, title: str) -> None:
+def _open_window(
+    content: Content, look: Look, size: tuple[int, int], fps: float, frame: int, title: str, stand: Stand
+) -> None:
     from warpdef.apps.viewer.player import Player
     from warpdef.apps.viewer.scene import Scene
     from warpdef.apps.viewer.window import Window
 
     with clean_stdout():
-        scene = Scene(content, off_screen=False, size=size, look=look)
+        scene = Scene(content, off_screen=False, size=size, look=look, stand=stand)
         try:
             player = Player(len(content), fps, frame)
             window = Window(scene, player, Path.cwd(), say)

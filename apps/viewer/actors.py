@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
 PLAIN, MATERIAL = "plain", "template"
 TEXT_COLOR = "#20242c"
-_GREY, _CLOUD, _UNKNOWN = "#c3c8d2", "#d1495b", "#9a9a9a"
+_GREY, _CLOUD, _UNKNOWN = "#c3c8d2", "#46566b", "#9a9a9a"
+_EDGE = "#3a4250"
 
 
 @dataclass
@@ -47,6 +48,7 @@ class SurfaceActor:
             self._data, color=_GREY, scalars=None, specular=0.1, ambient=0.2, diffuse=0.9, show_scalar_bar=False
         )
         self.actor.mapper.SetScalarModeToUsePointFieldData()
+        self.actor.prop.edge_color, self.actor.prop.line_width, self.actor.prop.edge_opacity = _EDGE, 1.0, 0.6
         self._bar: Any = None
         self._plotter = plotter
         self._tables: dict[str, Any] = {}
@@ -77,13 +79,12 @@ class SurfaceActor:
 
         vertices, faces = self._surface(frame)
         self._fill(vertices, faces)
-        if look.smooth and not look.wireframe:
+        if look.smooth:
             self._data.point_data["Normals"] = vertex_normals(vertices, faces)
             self._data.point_data.active_normals_name = "Normals"
         prop = self.actor.prop
-        prop.style = "wireframe" if look.wireframe else "surface"
+        prop.show_edges = look.wireframe
         prop.interpolation = "phong" if look.smooth else "flat"
-        prop.lighting = not look.wireframe
         self._paint(frame, look.color)
 
     def _paint(self, frame: int, color: str) -> None:
@@ -103,6 +104,8 @@ class SurfaceActor:
             mapper.SetColorModeToDirectScalars()
             mapper.SelectColorArray("rgb")
         mapper.scalar_visibility = measured or color == MATERIAL
+        # A number's colour must be the bar's, not a shade of it.
+        self.actor.prop.lighting = not measured
         self._show_bar(color if measured else "")
 
     def _material(self, frame: int) -> np.ndarray:
@@ -127,20 +130,24 @@ class SurfaceActor:
                 vertical=False,
                 color=TEXT_COLOR,
                 fmt="%.3g",
-                n_labels=2,
+                n_labels=5,
             )
             # Above the slider's place.
-            self._bar.SetPosition(0.2, 0.075)
+            self._bar.SetPosition(0.2, 0.06)
             self._bar.SetWidth(0.6)
-            self._bar.SetHeight(0.07)
+            self._bar.SetHeight(0.095)
             self._bar.SetUnconstrainedFontSize(True)
+            self._bar.SetVerticalTitleSeparation(6)
             for text in (self._bar.GetTitleTextProperty(), self._bar.GetLabelTextProperty()):
                 text.SetFontSize(13)
         if self._bar is not None:
             self._bar.SetVisibility(bool(color))
             if color:
                 self._bar.SetLookupTable(self._tables[color])
-                self._bar.SetTitle(MEASURES[color].label.format(self._unit))
+                title = MEASURES[color].label.format(self._unit)
+                title += "" if color == "confidence" else " (ends at the 99th percentile)"
+                title += "\n "  # room for the labels
+                self._bar.SetTitle(title)
 
     def table(self, color: str) -> Any:
         """Numbers to colours, the same in all frames."""
@@ -164,13 +171,18 @@ class CloudActor:
         assert pane.clouds is not None  # a pane without clouds gets none here
         self._clouds, self._colouring = pane.clouds, pane.colouring
         self._frames: dict[int, Any] = {}
+        self._spacing = point_spacing(pane.clouds[0])
         self.actor = plotter.add_mesh(
             pyvista.PolyData(self._clouds[0].astype("f4")),
             color=_CLOUD,
-            point_size=4.0,
+            point_size=3.0,
             render_points_as_spheres=True,
             show_scalar_bar=False,
         )
+
+    def size_points(self, pixels_per_length: float) -> None:
+        """Points as large as they are apart, so that a dense cloud is no blot and a thin one is seen."""
+        self.actor.prop.point_size = min(max(0.7 * self._spacing * pixels_per_length, 1.5), 6.0)
 
     def show(self, frame: int, look: Look, surface: SurfaceActor | None) -> None:
         """The cloud of a frame, where it is switched on or stands alone in its pane."""
@@ -196,6 +208,20 @@ class CloudActor:
     def forget(self) -> None:
         """The mesh is another now, so are the distances to it."""
         self._frames.clear()
+
+
+def point_spacing(points: np.ndarray, samples: int = 100) -> float:
+    """Median distance of some points, shape (N, 3), to their nearest neighbour, in their units; 0 for a single one."""
+    import numpy as np
+
+    if len(points) < 2:
+        return 0.0
+    nearest = []
+    for k in np.unique(np.linspace(0, len(points) - 1, samples).astype(int)):
+        away_sq = ((points - points[k]) ** 2).sum(axis=1)
+        away_sq[k] = np.inf
+        nearest.append(float(away_sq.min()) ** 0.5)
+    return float(np.median(nearest))
 
 
 def _lookup_table(color: str, colouring: VertexMeasures) -> Any:

@@ -11,12 +11,23 @@ if TYPE_CHECKING:
 
 VIEW_ANGLE = 30.0
 """Vertical opening of the camera, degrees."""
-LIFT = 0.07
+LIFT = 0.1
 """How far the scene is raised, in halves of the height: slider and colour bar stand below it, the title above."""
-MARGIN = 1.2
-"""Room around the box."""
+MARGIN = 1.28
+"""Room above and below the motion."""
+SIDE_MARGIN = 1.06
+"""Room to its left and right, where nothing is written."""
 AZIMUTH, ELEVATION = 25.0, 12.0
 """The usual place, degrees."""
+
+
+@dataclass(frozen=True)
+class Stand:
+    """Where the camera stands: degrees about the up axis and above the ground, and how much nearer than fitted."""
+
+    azimuth: float = AZIMUTH
+    elevation: float = ELEVATION
+    zoom: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -45,32 +56,63 @@ def camera_axes(up: str, azimuth: float, elevation: float = ELEVATION) -> tuple[
     return right, above, back
 
 
-def box_extent(bounds: tuple[np.ndarray, np.ndarray], up: str, azimuth: float) -> list[float]:
+def box_extent(
+    bounds: tuple[np.ndarray, np.ndarray], up: str, azimuth: float, elevation: float = ELEVATION
+) -> list[float]:
     """Half the width, height and depth of a box seen from an azimuth, in its own units."""
     import numpy as np
 
     half = (bounds[1] - bounds[0]) / 2.0
-    return [float(np.abs(axis) @ half) for axis in camera_axes(up, azimuth)]
+    return [float(np.abs(axis) @ half) for axis in camera_axes(up, azimuth, elevation)]
 
 
 def fit_camera(
-    bounds: tuple[np.ndarray, np.ndarray], up: str, aspect: float, *, turn: float = 0.0, all_round: bool = False
+    points: np.ndarray,
+    up: str,
+    aspect: float,
+    *,
+    stand: Stand | None = None,
+    turn: float = 0.0,
+    all_round: bool = False,
 ) -> Camera:
-    """A camera that sees the whole box.
+    """The nearest camera that sees all points, each in its own depth, with ``MARGIN`` around them.
+
+    A point (x, y, z) in the camera's axes is within the opening k of a camera at (cx, cy, cz) if
+    |x - cx| <= k (cz - z); so cz >= (max(x + k z) + max(-x + k z)) / (2 k), and cx halves what is over.
 
     Args:
-        bounds: low and high corner of all frames.
+        points: what is to be seen, in input units, shape (N, 3).
         up: "y" or "z".
         aspect: width over height of a pane.
-        turn: degrees about the up axis from the usual place.
-        all_round: stand so far that the box fits from every side, for a turntable.
+        stand: None: the usual one.
+        turn: degrees about the up axis from there.
+        all_round: stand so far that the points are seen from every side, about one focus, for a turntable.
     """
-    centre = (bounds[0] + bounds[1]) / 2.0
+    import numpy as np
+
+    stand = stand or Stand()
     opening = math.tan(math.radians(VIEW_ANGLE / 2.0))
-    distance = 0.0
-    for azimuth in range(0, 360, 15) if all_round else (AZIMUTH + turn,):
-        width, height, depth = box_extent(bounds, up, azimuth)
-        distance = max(distance, depth + max(height / opening, width / (opening * aspect)) * MARGIN)
-    distance = distance or 1.0
-    _, above, back = camera_axes(up, AZIMUTH + turn)
-    return Camera(centre + distance * back, centre, above, distance)
+    openings = (opening * aspect / SIDE_MARGIN, opening / MARGIN)
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
+    distance, aside = 0.0, np.zeros(2)
+    angles = [float(a) for a in range(0, 360, 15)] if all_round else [stand.azimuth + turn]
+    for azimuth in angles:
+        axes = camera_axes(up, azimuth, stand.elevation)
+        x, y, z = ((points - centre) @ axis for axis in axes)
+        # Nothing may lie behind the camera, flat things seen along their plane neither.
+        distance = max(distance, float(z.max()) + 0.1 * float(np.ptp(points, axis=0).max()))
+        for k, (across, slope) in enumerate(zip((x, y), openings, strict=True)):
+            plus, minus = float((across + slope * z).max()), float((slope * z - across).max())
+            if all_round:
+                distance = max(distance, max(plus, minus) / slope)
+            else:
+                distance, aside[k] = max(distance, (plus + minus) / (2.0 * slope)), (plus - minus) / 2.0
+    distance = (distance or 1.0) / stand.zoom
+    right, above, back = camera_axes(up, stand.azimuth + turn, stand.elevation)
+    focus = centre + aside[0] * right + aside[1] * above
+    return Camera(focus + distance * back, focus, above, distance)
+
+
+def pixels_per_length(camera: Camera, height: int) -> float:
+    """How many pixels of a picture of that height a length of 1 has at the camera's focus."""
+    return height / (2.0 * camera.distance * math.tan(math.radians(VIEW_ANGLE / 2.0)))

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 INPUT_FILES, TRUTH_FILES = ("clouds.npz",), ("truth.npz",)
 """What a demo leaves beside its result, taken where nothing else is named."""
+OUTLINE_POINTS = 50000
+"""About as many of all points as the camera is fitted to."""
 
 
 @dataclass
@@ -60,6 +62,8 @@ class Content:
     names: what the frames are called     T strings
     up:    the axis that points up        "y" or "z"
     unit:  what lengths are given in
+    bounds: low and high corner of all frames
+    outline: places that the camera is to see: the utmost and some of the others     (N, 3)
 
     Drawing is in float32: data far from its origin is to be brought near it first, as ``load_content`` does.
     """
@@ -69,6 +73,7 @@ class Content:
     up: str = "y"
     unit: str = "input units"
     bounds: tuple[np.ndarray, np.ndarray] = field(init=False)
+    outline: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         import numpy as np
@@ -80,11 +85,14 @@ class Content:
             elif pane.meshes is not None:
                 parts += [mesh.vertices for mesh in pane.meshes]
             # Single stray points must not push the camera away.
-            parts += [np.percentile(points, (0.5, 99.5), axis=0) for points in pane.clouds or ()]
+            parts += [_without_strays(points) for points in pane.clouds or ()]
         self.bounds = (
             np.min([p.min(axis=0) for p in parts], axis=0).astype(float),
             np.max([p.max(axis=0) for p in parts], axis=0).astype(float),
         )
+        stride = 1 + sum(map(len, parts)) // OUTLINE_POINTS
+        utmost = [p[np.concatenate([p.argmin(axis=0), p.argmax(axis=0)])] for p in parts]
+        self.outline = np.concatenate([*utmost, *(p[::stride] for p in parts)]).astype(float)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -160,6 +168,15 @@ def load_content(
             panes.insert(0, Pane("input", clouds=points))
     names = tuple(run.names[t] for t in chosen)
     return Content(panes, names, up, unit)
+
+
+def _without_strays(points: np.ndarray) -> np.ndarray:
+    """The points between the 0.5th and the 99.5th percentile of each axis; all, where none are."""
+    import numpy as np
+
+    low, high = np.percentile(points, (0.5, 99.5), axis=0)
+    kept = points[((points >= low) & (points <= high)).all(axis=1)]
+    return kept if len(kept) else points
 
 
 def _beside(output: Path, names: Sequence[str]) -> Path | None:

@@ -17,22 +17,26 @@ if TYPE_CHECKING:
     import numpy as np
 
     from warpdef.apps.viewer.actors import Look
+    from warpdef.apps.viewer.camera import Stand
     from warpdef.apps.viewer.content import Content, Pane
 
 _STEPS = 65535
 
 
-def write_html(content: Content, look: Look, path: Path, fps: float, frame: int = 0) -> None:
+def write_html(
+    content: Content, look: Look, path: Path, fps: float, frame: int = 0, stand: Stand | None = None
+) -> None:
     """Write the page; it appears at once or not at all.
 
     Raises:
         InputError: a pane whose triangles change, or the file cannot be written.
     """
-    from warpdef.apps.viewer.camera import AZIMUTH, ELEVATION, MARGIN, VIEW_ANGLE, box_extent
+    from warpdef.apps.viewer.camera import MARGIN, VIEW_ANGLE, Stand, box_extent
     from warpdef.apps.viewer.page import PAGE
     from warpdef.apps.viewer.script import SCRIPT
     from warpdef.files.disk import replacing
 
+    stand = stand or Stand()
     low, high = content.bounds
     for pane in content.panes:
         # Clouds' strays are outside the bounds that the camera looks at, but are drawn all the same.
@@ -47,11 +51,11 @@ def write_html(content: Content, look: Look, path: Path, fps: float, frame: int 
         "frame": frame,
         "up": content.up,
         "focus": ((content.bounds[0] + content.bounds[1]) / 2.0).tolist(),
-        "extent": box_extent(content.bounds, content.up, AZIMUTH),
-        "azimuth": AZIMUTH,
-        "elevation": ELEVATION,
+        "extent": box_extent(content.bounds, content.up, stand.azimuth, stand.elevation),
+        "azimuth": stand.azimuth,
+        "elevation": stand.elevation,
         "angle": VIEW_ANGLE,
-        "margin": MARGIN,
+        "margin": MARGIN / stand.zoom,
         "cloud": look.cloud,
         "wireframe": look.wireframe,
         "smooth": look.smooth,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from warpdef.apps.viewer.actors import TEXT_COLOR, CloudActor, Look, SurfaceActor
-from warpdef.apps.viewer.camera import LIFT, VIEW_ANGLE, fit_camera
+from warpdef.apps.viewer.camera import LIFT, VIEW_ANGLE, Stand, fit_camera, pixels_per_length
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,7 +23,15 @@ TRAJECTORIES = 150
 class Scene:
     """All panes of a content in one render window."""
 
-    def __init__(self, content: Content, *, off_screen: bool, size: tuple[int, int], look: Look | None = None) -> None:
+    def __init__(
+        self,
+        content: Content,
+        *,
+        off_screen: bool,
+        size: tuple[int, int],
+        look: Look | None = None,
+        stand: Stand | None = None,
+    ) -> None:
         import pyvista
         from vtkmodules.vtkCommonCore import vtkLogger
 
@@ -31,6 +39,7 @@ class Scene:
         vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
         self.content = content
         self.look = look or Look()
+        self.stand = stand or Stand()
         self.frame = 0
         # Its methods that PyVista wraps are not described as methods.
         self.plotter: Any = pyvista.Plotter(
@@ -56,9 +65,10 @@ class Scene:
         """Stand where the whole motion is seen, ``turn`` degrees about the up axis from the usual place."""
         width, height = self.plotter.window_size
         placed = fit_camera(
-            self.content.bounds,
+            self.content.outline,
             self.content.up,
             width / len(self.content.panes) / height,
+            stand=self.stand,
             turn=turn,
             all_round=all_round,
         )
@@ -69,10 +79,14 @@ class Scene:
             camera.position, camera.focal_point, camera.up = placed.position, placed.focus, placed.up
             renderer.camera_set = True
             renderer.ResetCameraClippingRange()
+        for cloud in self.clouds:
+            if cloud is not None:
+                cloud.size_points(pixels_per_length(placed, height))
 
     def show(self, frame: int) -> None:
         """Move everything to a frame; nothing is rendered yet."""
         self.frame = frame
+        count = len(self.content)
         for pane, surface, cloud, title in zip(
             self.content.panes, self.surfaces, self.clouds, self._titles, strict=True
         ):
@@ -80,7 +94,7 @@ class Scene:
                 surface.show(frame, self.look)
             if cloud is not None:
                 cloud.show(frame, self.look, surface)
-            title.SetText(2, f"{pane.title}\nframe {frame} of {len(self.content)}: {self.content.names[frame]}")
+            title.SetText(2, f"{pane.title}\nframe {frame} of {count} (0 to {count - 1}): {self.content.names[frame]}")
         self._show_trails()
 
     def refresh(self) -> None:
