@@ -33,6 +33,27 @@ COMMANDS = {
 }
 """Name and summary; ``name`` is the function ``name`` of ``warpdef.apps.name``."""
 
+EXAMPLES = {
+    "": ("warpdef demo", "warpdef reconstruct scans/ -o out"),
+    "demo": ("warpdef demo", "warpdef demo --output out --frames 9"),
+    "reconstruct": (
+        "warpdef reconstruct scans/ -o out",
+        "warpdef reconstruct scans/ -o out --frames 0:20 --keyframe middle",
+    ),
+    "evaluate": ("warpdef evaluate out", "warpdef evaluate out truth.npz --per-frame"),
+    "sample": ("warpdef sample truth/ -o clouds.npz", "warpdef sample truth/ -o clouds.npz --points 2000 --noise 0.01"),
+    "datasets": ("warpdef datasets check meshes/", "warpdef datasets check meshes/ --json"),
+    "experiment": (
+        "warpdef experiment main --data truths/ -o tables",
+        "warpdef experiment main --data truths/ -o tables --quick",
+    ),
+    "bench": ("warpdef bench --quick", "warpdef bench --json here.json --compare there.json"),
+    "export": ("warpdef export out motion.glb", "warpdef export out motion.usdc --up z --fps 30"),
+    "deform": ("warpdef deform out dense.obj -o dense.glb", "warpdef deform out dense.obj -o dense.usdc --fps 30"),
+    "view": ("warpdef view out", "warpdef view out --color error --screenshot error.png --azimuth 90"),
+}
+"""Two lines that a command's help begins with, by its name; the empty name is the program itself."""
+
 ANSWERING = ("evaluate", "datasets")
 """Commands whose answer is what they print."""
 
@@ -81,6 +102,10 @@ def _run(arguments: Sequence[str]) -> int:
     tracebacks = os.environ.get(TRACEBACK_VARIABLE, "") not in ("", "0")
     try:
         app = build_app(arguments[0] if arguments else "")
+        if not arguments or "--help" in arguments or "-h" in arguments:
+            name = arguments[0] if arguments and arguments[0] in COMMANDS else ""
+            if name in EXAMPLES:
+                print("\n".join(f"  {line}" for line in EXAMPLES[name]) + "\n")
         code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except (WarpdefError, cyclopts.CycloptsError, OSError) as error:
         if tracebacks:

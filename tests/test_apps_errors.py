@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpdef.apps.main import COMMANDS, build_app, run
+from warpdef.apps.main import COMMANDS, EXAMPLES, build_app, run
 
 GOOD = np.random.default_rng(0).normal(size=(4, 30, 3))
 
@@ -221,3 +221,11 @@ def test_every_command_has_help(command: str, capfd) -> None:
     function = build_app()[command].default_command
     assert function is not None
     assert (function.__doc__ or "").splitlines()[0] in shown
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_help_begins_with_examples_that_parse(name: str, capfd) -> None:
+    assert run([name, "--help"] if name else ["--help"]) == 0
+    assert [line.strip() for line in capfd.readouterr().out.splitlines()[:2]] == list(EXAMPLES[name])
+    for line in EXAMPLES[name]:
+        build_app().parse_args(line.split()[1:], exit_on_error=False, print_error=False)
