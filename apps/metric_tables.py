@@ -12,7 +12,7 @@ from warpdef.apps.console import print_table
 
 
 @dataclass(frozen=True)
-class Measure:
+class MetricColumn:
     """How one measure is shown: ``value * factor`` with ``digits`` decimals."""
 
     key: str
@@ -28,18 +28,18 @@ class Measure:
 
 
 MEASURES = (
-    Measure("chamfer_l2", "Chamfer distance, 1e-5", "CD", 1e5, 3, "lower"),
-    Measure("chamfer_floor", "  of the truth against itself", "floor", 1e5, 3, ""),
-    Measure("normal_consistency", "normal consistency", "NC", 1.0, 4, "higher"),
-    Measure("f_score_0.5", "F-score at 0.5 %", "F-0.5%", 1.0, 4, "higher"),
-    Measure("f_score_1", "F-score at 1 %", "F-1%", 1.0, 4, "higher"),
-    Measure("point_to_surface", "point to surface, 1e-3", "P2S", 1e3, 3, "lower"),
-    Measure("edge_distortion", "edge-length distortion", "edges", 1.0, 4, "lower"),
-    Measure("tracking", "tracking", "track", 1.0, 4, "lower"),
-    Measure("flicker", "flicker, degrees", "flick", 1.0, 2, "lower"),
-    Measure("flicker_truth", "  the truth's own", "true", 1.0, 2, ""),
-    Measure("acceleration", "acceleration, 1e-3 a frame squared", "accel", 1e3, 2, ""),
-    Measure("acceleration_truth", "  the truth's own", "true", 1e3, 2, ""),
+    MetricColumn("chamfer_l2", "Chamfer distance, 1e-5", "CD", 1e5, 3, "lower"),
+    MetricColumn("chamfer_floor", "  of the truth against itself", "floor", 1e5, 3, ""),
+    MetricColumn("normal_consistency", "normal consistency", "NC", 1.0, 4, "higher"),
+    MetricColumn("f_score_0.5", "F-score at 0.5 %", "F-0.5%", 1.0, 4, "higher"),
+    MetricColumn("f_score_1", "F-score at 1 %", "F-1%", 1.0, 4, "higher"),
+    MetricColumn("point_to_surface", "point to surface, 1e-3", "P2S", 1e3, 3, "lower"),
+    MetricColumn("edge_distortion", "edge-length distortion", "edges", 1.0, 4, "lower"),
+    MetricColumn("tracking", "tracking", "track", 1.0, 4, "lower"),
+    MetricColumn("flicker", "flicker, degrees", "flick", 1.0, 2, "lower"),
+    MetricColumn("flicker_truth", "  the truth's own", "true", 1.0, 2, ""),
+    MetricColumn("acceleration", "acceleration, 1e-3 a frame squared", "accel", 1e3, 2, ""),
+    MetricColumn("acceleration_truth", "  the truth's own", "true", 1e3, 2, ""),
 )
 
 

@@ -8,21 +8,21 @@ from typing import Any
 from rich.table import Table
 
 from warpdef.apps.console import print_table
-from warpdef.apps.metric_tables import Measure
+from warpdef.apps.metric_tables import MetricColumn
 from warpdef.quality.verdict import summary
 
 MEASURES = (
-    Measure("residual_mean_percent", "mean distance of the points, % of the extent", "mean %", 1.0, 3, "lower"),
-    Measure("residual_p95_percent", "95th percentile", "p95 %", 1.0, 3, "lower"),
-    Measure("uncovered", "points not covered, %", "uncov %", 100.0, 1, "lower"),
-    Measure("far", "surface far from every point, %", "far %", 100.0, 1, ""),
-    Measure("unseen", "surface unseen, %", "unseen %", 100.0, 1, ""),
-    Measure("torn", "surface far and stretched, %", "torn %", 100.0, 2, "lower"),
-    Measure("stretch_p95", "edge stretch, 95th percentile of |log ratio|", "stretch", 1.0, 2, "lower"),
-    Measure("folded", "neighbouring faces folded, %", "folds %", 100.0, 2, "lower"),
-    Measure("thickness", "thickness over the shape's", "thick", 1.0, 2, ""),
-    Measure("volume", "volume over the shape's", "volume", 1.0, 2, ""),
-    Measure("flicker", "flicker, degrees", "flick", 1.0, 2, "lower"),
+    MetricColumn("residual_mean_percent", "mean distance of the points, % of the extent", "mean %", 1.0, 3, "lower"),
+    MetricColumn("residual_p95_percent", "95th percentile", "p95 %", 1.0, 3, "lower"),
+    MetricColumn("uncovered", "points not covered, %", "uncov %", 100.0, 1, "lower"),
+    MetricColumn("far", "surface far from every point, %", "far %", 100.0, 1, ""),
+    MetricColumn("unseen", "surface unseen, %", "unseen %", 100.0, 1, ""),
+    MetricColumn("torn", "surface far and stretched, %", "torn %", 100.0, 2, "lower"),
+    MetricColumn("stretch_p95", "edge stretch, 95th percentile of |log ratio|", "stretch", 1.0, 2, "lower"),
+    MetricColumn("folded", "neighbouring faces folded, %", "folds %", 100.0, 2, "lower"),
+    MetricColumn("thickness", "thickness over the shape's", "thick", 1.0, 2, ""),
+    MetricColumn("volume", "volume over the shape's", "volume", 1.0, 2, ""),
+    MetricColumn("flicker", "flicker, degrees", "flick", 1.0, 2, "lower"),
 )
 
 

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from warpdef.apps.experiments.plan import FULL, Plan, Size
+from warpdef.apps.experiments.plan import FULL, Plan, PlanSize
 from warpdef.apps.experiments.run import Run, with_values
 from warpdef.config import Config
 from warpdef.mesh import MeshSequence
 from warpdef.truth.metrics import METRICS
 
-TINY = Size(3, 200, 500, (2, 3), (2, 4), (1.0, 2.0), 4)
+TINY = PlanSize(3, 200, 500, (2, 3), (2, 4), (1.0, 2.0), 4)
 TINY_CONFIG = with_values(
     Config(),
     {

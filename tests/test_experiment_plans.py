@@ -13,7 +13,7 @@ from warpdef.apps.config_flags import entries
 from warpdef.apps.experiment import NAMES, _builder
 from warpdef.apps.experiments.code_version import digest
 from warpdef.apps.experiments.own_experiments import IDEAS
-from warpdef.apps.experiments.plan import Plan, Size, benchmark
+from warpdef.apps.experiments.plan import Plan, PlanSize, benchmark
 from warpdef.apps.experiments.published import ABOVE_FLOOR, PUBLISHED, WORST_FRAME
 from warpdef.apps.experiments.run import TRUTH_TEMPLATE, frame_text, to_and_fro, value_of, with_values
 from warpdef.config import Config
@@ -163,7 +163,7 @@ def test_a_note_that_says_nothing_is_passed_over(tmp_path: Path, text: str) -> N
 
 
 def test_the_key_changes_with_everything_that_changes_numbers() -> None:
-    plan = Plan((Named("a"),), size=Size())
+    plan = Plan((Named("a"),), size=PlanSize())
     base = plan.run(plan.sequences[0])
     others = [
         replace(base, frames=base.frames[1:]),

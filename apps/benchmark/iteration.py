@@ -20,7 +20,7 @@ import warp as wp
 from warpdef.apps.benchmark.bed import bench_config, bench_problem
 from warpdef.apps.benchmark.data import Work
 from warpdef.apps.benchmark.sizes import Size
-from warpdef.apps.benchmark.timing import Clock, Timing
+from warpdef.apps.benchmark.timing import DeviceTimer, Timing
 from warpdef.device import Way, is_cuda, way_of
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
@@ -165,7 +165,7 @@ def descend(work: Work, size: Size, device: wp.Device, threads: int, tree_worker
         kernel, on one CPU thread; ``losses``.
     """
     problem = bench_problem(work, bench_config(size), device)
-    clock = Clock(device)
+    clock = DeviceTimer(device)
     full, warmup, phases, kernels = [], [], [], defaultdict(list)
     with closing(ProfilingTeam(threads)) as team:
         optimiser = Optimiser(problem, size.iterations, team)

@@ -15,7 +15,7 @@ import warp as wp
 import warpdef
 from warpdef.apps.benchmark.bed import Case, runner
 from warpdef.apps.benchmark.kernels import FLOPS_PER_ROUND, multiply_add_rounds, sample_only
-from warpdef.apps.benchmark.timing import Clock, Effort, measure, null_test
+from warpdef.apps.benchmark.timing import DeviceTimer, Effort, measure, null_test
 from warpdef.device import is_cuda, usable_cores
 from warpdef.fit.workers import Team
 from warpdef.kernels.adam import adam
@@ -57,14 +57,16 @@ def copy_bandwidth(device: wp.Device, threads: int, megabytes: int) -> float:
     count = megabytes * 2**18
     if is_cuda(device):
         a, b = (wp.zeros(count, dtype=wp.float32, device=device) for _ in range(2))
-        timing = measure(lambda: wp.copy(b, a), Clock(device).seconds, _COPY_EFFORT)
+        timing = measure(lambda: wp.copy(b, a), DeviceTimer(device).seconds, _COPY_EFFORT)
         return 8.0 * count / timing.median
     a, b = np.ones(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
     parts = [slice(count * k // threads, count * (k + 1) // threads) for k in range(threads)]
     with ThreadPoolExecutor(threads) as pool:
         # NumPy copies without the interpreter lock.
         timing = measure(
-            lambda: list(pool.map(lambda part: np.copyto(b[part], a[part]), parts)), Clock(device).seconds, _COPY_EFFORT
+            lambda: list(pool.map(lambda part: np.copyto(b[part], a[part]), parts)),
+            DeviceTimer(device).seconds,
+            _COPY_EFFORT,
         )
     return 8.0 * count / timing.median
 
@@ -74,7 +76,7 @@ def arithmetic_peak(device: wp.Device, team: Team, effort: Effort) -> float:
     entries, rounds, parts = (64, 20_000, 4 * team.size) if not is_cuda(device) else (2**20, 400, 1)
     outs = [wp.zeros(entries, dtype=wp.float32, device=device) for _ in range(parts)]
     case = Case("peak", "", 0, 0, [lambda out=out: multiply_add_rounds(rounds, out) for out in outs])
-    timing = measure(runner(case, device, team), Clock(device).seconds, effort)
+    timing = measure(runner(case, device, team), DeviceTimer(device).seconds, effort)
     return parts * entries * rounds * FLOPS_PER_ROUND / timing.median
 
 
@@ -98,7 +100,7 @@ def adam_cost(device: wp.Device, most: int) -> Callable[[int], float]:
     rate = wp.array([1e-3], dtype=wp.float32, device=device)
     schedule = wp.array(np.ones(SCHEDULE_SIZE), dtype=wp.float32, device=device)
     state = [wp.zeros(most, dtype=wp.vec3, device=device) for _ in range(4)]
-    clock = Clock(device)
+    clock = DeviceTimer(device)
 
     def cost(count: int) -> float:
         return clock.seconds(lambda: adam(0, count, rate, schedule, (0.9, 0.999), 1e-8, *state))
@@ -115,7 +117,7 @@ def sampling_cost(device: wp.Device, most: int) -> Callable[[int], float]:
     points = wp.array(rng.uniform(-1, 1, (most, 3)), dtype=wp.vec3, device=device)
     transition = wp.zeros(most, dtype=wp.int32, device=device)
     out = wp.zeros(most, dtype=node8, device=device)
-    clock = Clock(device)
+    clock = DeviceTimer(device)
 
     def cost(count: int) -> float:
         return clock.seconds(lambda: sample_only(0, count, nodes, levels, points, transition, out))

@@ -132,7 +132,7 @@ def _measure(request: dict[str, Any]) -> dict[str, Any]:
 
     from warpdef.apps.benchmark.bed import bench_config, bench_problem
     from warpdef.apps.benchmark.data import Work
-    from warpdef.apps.benchmark.timing import Clock
+    from warpdef.apps.benchmark.timing import DeviceTimer
     from warpdef.device import find_device, is_cuda
     from warpdef.fit.optimise import Optimiser
     from warpdef.fit.workers import Team
@@ -157,7 +157,7 @@ def _measure(request: dict[str, Any]) -> dict[str, Any]:
         optimiser.iterate()
         wp.synchronize_device(device)
         step = mark()
-        clock = Clock(device)
+        clock = DeviceTimer(device)
         while optimiser.done < request["warmup"]:
             optimiser.iterate()
         times, work_times = [], []

@@ -10,7 +10,7 @@ import warp as wp
 from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.apps.benchmark.peers import add_rows
 from warpdef.apps.benchmark.refine_peers import block_cg_scipy, planes_numpy, rotations_numpy, vertex_normals_numpy
-from warpdef.apps.benchmark.timing import Clock, Timing
+from warpdef.apps.benchmark.timing import DeviceTimer, Timing
 from warpdef.device import frame_of, on_host
 from warpdef.fit.refine import Refinement
 from warpdef.fit.workers import Team
@@ -200,7 +200,7 @@ def round_rows(bed: Bed, teams: Mapping[int, Team]) -> Iterator[dict]:
         stage.prepare()
         stage.start()
         stage.step()  # modules load, a graph is captured
-        clock = Clock(bed.device)
+        clock = DeviceTimer(bed.device)
         timing = Timing.of([clock.seconds(stage.step) for _ in range(max(stage.config.iterations - 1, 1))])
         elements = p.frame_count * p.vertex_count
         yield {

@@ -13,7 +13,7 @@ from warpdef.apps.benchmark.refine_cases import ROUND, refine_cases, round_rows
 from warpdef.apps.benchmark.search_cases import search_cases
 from warpdef.apps.benchmark.sizes import ROWS
 from warpdef.apps.benchmark.solve_cases import solve_cases
-from warpdef.apps.benchmark.timing import Clock, Effort, Timing, measure
+from warpdef.apps.benchmark.timing import DeviceTimer, Effort, Timing, measure
 from warpdef.fit.workers import Team
 
 GROUPS: Mapping[str, Callable[[Bed], list[Case]]] = {
@@ -50,7 +50,7 @@ def case_rows(
     compared = {peer.name: compare(case, peer, max(teams)) for peer in case.peers}
     once: dict[tuple[str, int], Timing] = {}
     for threads, team in teams.items():
-        clock = Clock(bed.device)
+        clock = DeviceTimer(bed.device)
         timing = measure(runner(case, bed.device, team), clock.seconds, effort, case.before)
         row = {
             "name": case.name,
@@ -99,4 +99,4 @@ def time_peer(peer: Peer, workers: int, effort: Effort) -> Timing:
     """Peers run on the CPU; a third of the effort does."""
     call = peer.timed or peer.run
     few = Effort(effort.seconds / 2, max(effort.least // 3, 2), effort.most)
-    return measure(lambda: call(workers), Clock(wp.get_device("cpu")).seconds, few)
+    return measure(lambda: call(workers), DeviceTimer(wp.get_device("cpu")).seconds, few)

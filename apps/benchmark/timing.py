@@ -49,7 +49,7 @@ class Timing:
         }
 
 
-class Clock:
+class DeviceTimer:
     """Seconds of a call on one device: CUDA by events on the device, the CPU by the performance counter."""
 
     def __init__(self, device: wp.Device) -> None:
@@ -94,7 +94,7 @@ def measure(
     """Time ``run`` after two calls to warm up.
 
     Args:
-        seconds: ``Clock.seconds``, or a stand-in: (run, count) -> seconds.
+        seconds: ``DeviceTimer.seconds``, or a stand-in: (run, count) -> seconds.
         before: called untimed ahead of every timed call, which then is one call a sample.
     """
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import product
 
 from warpdef.apps.experiments.plan import Experiment, Plan, Setting, settings
-from warpdef.apps.experiments.run import TRUTH_TEMPLATE, Source
+from warpdef.apps.experiments.run import TRUTH_TEMPLATE, TruthSource
 from warpdef.errors import InputError
 
 NOISE = (0.0, 0.0025, 0.005, 0.01, 0.02)
@@ -96,7 +96,7 @@ def initialization(plan: Plan) -> Experiment:
     return Experiment("initialization", "Initialization", tuple(rows), notes=(note,))
 
 
-def _outside(plan: Plan, source: Source, choice: str) -> str:
+def _outside(plan: Plan, source: TruthSource, choice: str) -> str:
     if plan.meshes is None:
         return TRUTH_TEMPLATE
     names = [f"{stem}{suffix}" for stem in (f"{source.name}_{choice}", source.name) for suffix in MESH_SUFFIXES]

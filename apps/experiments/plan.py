@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from warpdef.apps.experiments.run import Run, Source, frame_text, with_values
+from warpdef.apps.experiments.run import Run, TruthSource, frame_text, with_values
 from warpdef.config import Config, parse_slice
 from warpdef.errors import InputError
 
 
 @dataclass(frozen=True)
-class Size:
+class PlanSize:
     """How large an experiment is; ``QUICK`` only shows that everything runs."""
 
     frames: int = 17
@@ -26,8 +26,8 @@ class Size:
     accuracy_length: int = 80
 
 
-FULL = Size()
-QUICK = Size(4, 500, 2000, (3, 5), (3, 6), (1.0, 2.0), 6)
+FULL = PlanSize()
+QUICK = PlanSize(4, 500, 2000, (3, 5), (3, 6), (1.0, 2.0), 6)
 QUICK_ITERATIONS, QUICK_ROUNDS = 6, 2
 
 
@@ -71,20 +71,20 @@ class Plan:
     folder: the data, for clouds that lie beside the sequences
     """
 
-    sequences: tuple[Source, ...]
+    sequences: tuple[TruthSource, ...]
     config: Config = field(default_factory=Config)
-    size: Size = FULL
+    size: PlanSize = FULL
     frames: str = ""
     meshes: Path | None = None
     folder: Path | None = None
 
-    def run(self, source: Source, values: dict[str, Any] | None = None, **changes: Any) -> Run:
+    def run(self, source: TruthSource, values: dict[str, Any] | None = None, **changes: Any) -> Run:
         """One run of ``source`` with its usual frames; ``values`` go into the configuration, ``changes`` into it."""
         config = with_values(self.config, values or {})
         usual = {"frames": self.usual_frames(source), "points": self.size.points, "samples": self.size.samples}
         return Run(source=source, config=config, **{**usual, **changes})
 
-    def usual_frames(self, source: Source) -> tuple[int, ...]:
+    def usual_frames(self, source: TruthSource) -> tuple[int, ...]:
         """Those asked for; else as many as the size says, from where the sequence's benchmark begins.
 
         Raises:
@@ -101,7 +101,7 @@ class Plan:
             )
         return frames
 
-    def reference(self) -> Source:
+    def reference(self) -> TruthSource:
         """The sequence on which a single change is shown: the first with a benchmark's note, else the first."""
         return next((s for s in self.sequences if benchmark(s)), self.sequences[0])
 
@@ -110,7 +110,7 @@ class Plan:
         return tuple(self.run(source, values, **changes) for source in self.sequences)
 
 
-def benchmark(source: Source) -> dict[str, Any]:
+def benchmark(source: TruthSource) -> dict[str, Any]:
     """What ``meta.json`` beside a sequence says of the benchmark it belongs to; empty where it says nothing.
 
     ``{"dynosurf": {"first_frame": 10, "frames": 17, "scale": s, "translation": [x, y, z]}}``: the benchmark's clouds

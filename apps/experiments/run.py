@@ -24,7 +24,7 @@ TRUTH_TEMPLATE = "truth"
 """In ``Run.template``: the true mesh of the keyframe, the best that any outside initialiser could give."""
 
 
-class Source(Protocol):
+class TruthSource(Protocol):
     """Where a true sequence comes from; ``warpdef.datasets.TrueSequence`` is one."""
 
     @property
@@ -83,7 +83,7 @@ class Run:
     fresh:    in a process of its own, so that its peak of memory is its own
     """
 
-    source: Source
+    source: TruthSource
     frames: tuple[int, ...]
     points: int
     config: Config
