@@ -40,11 +40,18 @@ LOSS = {
 class Toy:
     """A turning ellipsoid in three frames of unequal clouds, evaluated once at random nodes.
 
-    partial: frames that are taken to show part of the surface.
+    partial: frames that are taken to show part of the surface. off: how far the template is moved off its cloud.
     """
 
     def __init__(
-        self, device: str, keyframe: int = 1, levels: int = 2, warmup: bool = False, partial: tuple = (), **loss
+        self,
+        device: str,
+        keyframe: int = 1,
+        levels: int = 2,
+        warmup: bool = False,
+        partial: tuple = (),
+        off: float = 0.0,
+        **loss,
     ) -> None:
         rng = np.random.default_rng(5)
         moving = synthetic.turning_ellipsoid(3, 40, rng, subdivisions=1)
@@ -52,7 +59,7 @@ class Toy:
         clouds, normals = ([a[:n] for a, n in zip(s, sizes, strict=True)] for s in (moving.clouds, moving.normals))
         config = replace(Config(), grid=replace(Config().grid, levels=levels), loss=replace(Config().loss, **loss))
         self.device, self.config, self.levels = device, config, reference.resolutions(1, levels)
-        template = moving.vertices[keyframe] + 0.02 * rng.normal(size=moving.vertices[0].shape)
+        template = moving.vertices[keyframe] + 0.02 * rng.normal(size=moving.vertices[0].shape) + [off, 0.0, 0.0]
         self.problem = p = Problem(clouds, normals, template, moving.faces, keyframe, config, wp.get_device(device))
         p.measures.complete = ~np.isin(np.arange(3), partial)
         self.nodes = (rng.normal(size=(2, p.levels.node_count, 6)) * 0.08).astype(np.float32)
@@ -186,6 +193,20 @@ def test_pairs_of_partial_frames_count_by_the_way_back(partial: tuple, device: s
     np.testing.assert_array_equal(np.flatnonzero(lower), partial)
     total, directions = toy.twin_total(), rng.normal(size=(20, *toy.nodes.shape))
     expected = [along(lambda n: total(n, toy.template), toy.nodes.astype(float), d, 1e-5) for d in directions]
+    slopes = np.einsum("dsmc,smc->d", directions, toy.adj_nodes)
+    assert_gradients_close(slopes, np.array(expected), elementwise=2e-4, relative=2e-4)
+
+
+@pytest.mark.parametrize("keyframe", [1, 0])
+def test_frames_off_their_clouds_are_trusted_less(keyframe: int, device: str, rng: np.random.Generator) -> None:
+    """Their weights are the paper's, in the loss and in the gradient."""
+    toy = Toy(device, keyframe, off=0.25)
+    o = toy.objective
+    expected = reference.confidence(o.input.loss.numpy(), o.transform.loss.numpy(), keyframe, 0.7, False)
+    assert np.delete(expected, keyframe).max() < 0.95
+    np.testing.assert_allclose(toy.trust, expected, rtol=1e-5)
+    total, directions = toy.twin_total(), rng.normal(size=(10, *toy.nodes.shape))
+    expected = [along(lambda n: total(n, toy.template), toy.nodes.astype(float), d, 1e-6) for d in directions]
     slopes = np.einsum("dsmc,smc->d", directions, toy.adj_nodes)
     assert_gradients_close(slopes, np.array(expected), elementwise=2e-4, relative=2e-4)
 

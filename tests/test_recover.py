@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic import icosphere, sample_surface
@@ -75,6 +77,21 @@ def test_both_directions_from_the_keyframe(swing):
 def test_frames_that_fit_stay_bit_for_bit(swing):
     truth, faces = swing
     clouds = [cloud_of(v, faces, seed) for seed, v in enumerate(truth)]
+    vertices = truth.copy()
+    assert recover(vertices, clouds, faces, unique_edges(faces), keyframe=1) == ([], [])
+    np.testing.assert_array_equal(vertices, truth)
+
+
+def test_what_the_keyframe_does_not_cover_is_not_lost_elsewhere(swing):
+    """A twentieth of every cloud belongs to something that the mesh does not have."""
+    truth, faces = swing
+    clouds = [cloud_of(v, faces, seed) for seed, v in enumerate(truth)]
+    extra = np.random.default_rng(3).normal(size=(len(clouds[0].points) // 19, 3))
+    sides = extra / np.linalg.norm(extra, axis=1, keepdims=True)
+    clouds = [
+        replace(c, points=np.concatenate([c.points, sides + [9.0, 0, 0]]), normals=np.concatenate([c.normals, sides]))
+        for c in clouds
+    ]
     vertices = truth.copy()
     assert recover(vertices, clouds, faces, unique_edges(faces), keyframe=1) == ([], [])
     np.testing.assert_array_equal(vertices, truth)

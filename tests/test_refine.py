@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import reference_refine as twin
-from refine_samples import AXES, Run, Scene, mean_square
+from refine_samples import AXES, Run, Scene, mean_square, units
 
 from warpdef.config import Config
 from warpdef.geometry.triangles import unique_edges
@@ -229,6 +229,18 @@ def test_the_spacing_is_each_frames_own(rng: np.random.Generator) -> None:
     found = Run(mixed, mixed.vertices, "cpu", 0).problem.measures.spacing
     np.testing.assert_allclose(found, [twin.spacing(c) for c in mixed.clouds], rtol=1e-5)
     assert found[0] > 2 * found[1]
+
+
+def test_normals_of_noisy_clouds_say_nothing(scene: Scene, shaken: np.ndarray, device: str, rng) -> None:
+    """Leaning by 78 degrees they are left out where clouds are clean; in noise the mesh's own normals are enough."""
+    across = [np.cross(n, rng.normal(size=n.shape)) for n in scene.normals]
+    leaning = [0.2 * n + np.sqrt(0.96) * units(a) for n, a in zip(scene.normals, across, strict=True)]
+    left = []
+    for clean, noisy in ((8.0, 9.0), (1e-4, 2e-4)):
+        limits: dict[str, Any] = {"clean_thickness": clean, "noisy_thickness": noisy, "agreement": 0.8}
+        run = Run(scene, shaken, device, 3, normals=leaning, rigidity=0.1, rigidity_noisy=0.1, **limits)
+        left.append(mean_square(scene.off_surface(run.vertices)))
+    assert left[1] < 0.5 * left[0]
 
 
 def test_noisy_clouds_make_the_stage_stiffer(device: str, rng: np.random.Generator) -> None:

@@ -1,0 +1,216 @@
+"""Break the core, one line at a time, and see whether the tests notice.
+
+    python tests/break_core.py
+    python tests/break_core.py --only 7
+
+Every entry of ``BREAKS`` is a mistake that somebody could make: one line of ``kernels/`` or ``warpdef/fit/``, the test
+files that must notice it, and what it is. All happens on a copy of the tree in a temporary folder, with a kernel cache
+of its own that starts as a copy of the user's. The named tests must pass before anything is broken; then a break is
+
+    caught      a test failed
+    survived    all passed: a test sleeps
+    unclear     nothing ran to its end (no tests found, the break cannot be imported, no end within the limit)
+    stale       the text is not in its file exactly once: this table is behind the code
+
+and all but the first make the exit code 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SECONDS_MAX = 900.0  # for the tests of one break, its kernels compiled anew
+
+
+@dataclass(frozen=True)
+class Break:
+    """One wrong line.
+
+    file: from the root. old, new: text in a line of it, found there exactly once. tests: files that must notice, in
+    ``tests/``, without prefix and suffix. reason: what is wrong then.
+    """
+
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+    reason: str
+
+    @property
+    def found(self) -> int:
+        """How often the text is in the tree."""
+        return (ROOT / self.file).read_text().count(self.old)
+
+    @property
+    def paths(self) -> list[str]:
+        return [f"tests/test_{name}.py" for name in self.tests]
+
+
+# fmt: off
+BREAKS = [
+    Break("kernels/adam.py", "p[c] = p[c] - scale * adam", "p[c] = p[c] + scale * adam", ("adam",),
+          "Adam climbs"),
+    Break("kernels/schedule.py", "wp.pow(beta2, float(e + 1))", "wp.pow(beta2, float(e + 2))", ("schedule",),
+          "bias correction of the step after"),
+    Break("kernels/cayley.py", "return x + k * (c + wp.cross(z, c))", "return x + k * (c - wp.cross(z, c))",
+          ("cayley",), "sign in the Cayley map"),
+    Break("kernels/cayley.py", "wp.cross(x, wp.cross(adj, z))", "wp.cross(x, wp.cross(z, adj))", ("cayley",),
+          "sign of the Cayley map's adjoint"),
+    Break("kernels/chamfer.py", "return (2.0 * adj) * (", "return (-2.0 * adj) * (", ("chamfer",),
+          "sign of the Chamfer gradient"),
+    Break("kernels/chamfer.py", "normals[i], tangential, w * weight[s])", "normals[i], tangential, w)", ("chamfer",),
+          "a dropped weight of the term"),
+    Break("kernels/chamfer.py", "return wp.exp(-alpha * x)", "return wp.exp(-x)", ("chamfer",),
+          "robust weight without its alpha"),
+    Break("kernels/chamfer.py", "w = wp.exp(-x * x)", "w = wp.exp(-x)", ("chamfer",),
+          "way-back weight of the wrong power"),
+    Break("kernels/confidence.py", "wp.float64(1.0) + excess, -delta)", "wp.float64(1.0) + excess, delta)",
+          ("schedule",), "bad frames are trusted more"),
+    Break("warpdef/fit/objective.py", "confidence(loss.confidence, mean,", "confidence(False, mean,", ("objective",),
+          "confidence off"),
+    Break("kernels/isometry.py", "(after > 0.0f) - (after < 0.0f);", "(after < 0.0f) - (after > 0.0f);", ("isometry",),
+          "isometry's sign towards the next frame, by vertices"),
+    Break("kernels/isometry.py", "adj_vertices_out, t, j, -g)", "adj_vertices_out, t, j, g)", ("isometry",),
+          "isometry's sign at an edge's other end, by edges"),
+    Break("kernels/trilinear.py", "*(two*)(q + sx) += h1 - h11;", "*(two*)(q + sx) += h1;", ("trilinear",),
+          "trilinear weight of a corner, on the way back"),
+    Break("kernels/motion.py", "adj_plain[target, i] + carry[carry_target, i]", "adj_plain[target, i]", ("motion",),
+          "the chain carries nothing back"),
+    Break("kernels/motion.py", "+ rotate_along(z, x, zy)", "+ rotate_along(z, x, zx)", ("motion",),
+          "derivative along the wrong axis"),
+    Break("warpdef/fit/chain.py", "to = spare if source == ends.keyframe and transitions is ends.backward else source",
+          "to = source", ("objective",), "two chains write one row of carry at the keyframe"),
+    Break("warpdef/fit/problem.py", "int(offsets[last] - offsets[first])", "int(offsets[last] - offsets[first]) - 1",
+          ("objective",), "a span is one short"),
+    Break("kernels/packets.py", "(d_sq == best_sq) & (found < best)", "(d_sq == best_sq) & (found > best)",
+          ("neighbours",), "ties go to the highest index, in packets"),
+    Break("kernels/neighbours.py", "d_sq == best_sq && found < best", "d_sq == best_sq && found > best",
+          ("neighbours",), "ties go to the highest index, one by one"),
+    Break("kernels/cg_functions.py", "(1.0 + weight * float(end - begin))", "(1.0 + float(end - begin))", ("cg",),
+          "no lambda on the solver's diagonal"),
+    Break("kernels/cosine.py", "lambda_ * (mu[x] + mu[y] + mu[z])", "lambda_ * (mu[x] + mu[y])", ("cosine",),
+          "grids are smoothed along two axes"),
+    Break("warpdef/fit/optimise.py", "np.arange(grid.coarsest - 1, grid.levels)",
+          "np.arange(grid.coarsest, grid.levels + 1)", ("optimise",), "learning rates of the next finer level"),
+    Break("warpdef/fit/terms.py", "_REACH_SPACINGS = 1.0", "_REACH_SPACINGS = 1.5", ("objective",),
+          "reach of the way back"),
+    Break("warpdef/fit/problem.py", "kept_nodes(self.levels, [clouds[a], clouds[b]],",
+          "kept_nodes(self.levels, [clouds[a]],", ("problem",), "pruning looks at one end of a transition"),
+    Break("warpdef/fit/measures.py", "sizes, self._share, self", "sizes, 0.5 * self._share, self", ("refine_partial",),
+          "half a surface is taken for all of it"),
+    Break("kernels/rigidity.py", "turned = 0.5 * (", "turned = 1.0 * (", ("rigidity",),
+          "rigidity's half"),
+    Break("kernels/borders.py", "(w * (gap[t] - wp.dot(b, d)))", "(w * (-wp.dot(b, d)))", ("borders",),
+          "no gap between a border and its points"),
+    Break("warpdef/fit/refine.py", "blend(c.shape_step,", "blend(1.0,", ("refine",),
+          "the shape takes a whole step"),
+    Break("kernels/planes.py", "pull = (-w * wp.dot(a, pairs", "pull = (w * wp.dot(a, pairs", ("planes",),
+          "planes push"),
+    Break("kernels/unseen.py", "p + wp.transpose(turn) * (p - q)", "p + turn * (p - q)", ("unseen",),
+          "a screw motion goes on the wrong way round"),
+    Break("kernels/block_cg.py", "turn = ratio(next_rz, rz)", "turn = ratio(r_sq, rz)", ("block_cg",),
+          "directions turned by the plain residual"),
+    Break("kernels/cells.py", "odometer.data[group] += ", "odometer.data[group] = ", ("neighbours",),
+          "targets' moves are forgotten"),
+    Break("kernels/packets.py", "- 1.0001f * drift", "- 0.5f * drift", ("neighbours",),
+          "an old answer is trusted for too long"),
+    Break("warpdef/fit/sobolev.py", "np.arange(config.grid.coarsest - 1, config.grid.levels)",
+          "np.arange(config.grid.coarsest, config.grid.levels + 1)", ("sobolev",), "lambda of the next finer level"),
+    Break("warpdef/fit/terms.py", "config.transform_weight / len(p.transitions)", "config.transform_weight",
+          ("objective",), "a sum over frames for their mean"),
+    Break("warpdef/fit/refine.py", "c.agreement * share", "c.agreement", ("refine",),
+          "noisy clouds lose pairs to their normals"),
+    Break("warpdef/fit/refine.py", "_BORDER_GAP = 0.9", "_BORDER_GAP = 0.0", ("refine_partial",),
+          "an open mesh ends at its outermost points"),
+    Break("warpdef/fit/refine.py", "near[0], far[0], near[-1], far[-1] = 1, 2,",
+          "near[0], far[0], near[-1], far[-1] = 2, 1,", ("refine_partial",),
+          "the first frame is expected from the wrong side"),
+    Break("warpdef/fit/measures.py", "distance[:, 1].mean()", "distance[:, 2].mean()", ("refine",),
+          "spacing to the second fellow"),
+    Break("warpdef/fit/embedded.py", "np.sqrt(rigidity / max(len(j), 1))", "np.sqrt(rigidity)", ("embedded",),
+          "rigidity grows with the number of links"),
+    Break("warpdef/fit/recover.py", "return 2.0 * keyframe_uncovered + LOST", "return LOST", ("recover",),
+          "a sparse keyframe makes all frames lost"),
+]
+# fmt: on
+
+
+def tests_pass(tree: Path, cache: Path, paths: list[str]) -> tuple[int, str]:
+    """pytest's exit code for these files of a tree, -1 for no end; and the last line that names a test."""
+    environment = {**os.environ, "PYTHONPATH": str(tree), "WARP_CACHE_PATH": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n0", "--tb=no", "-p", "no:cacheprovider", *paths]
+    try:
+        ended = subprocess.run(
+            command, cwd=tree, env=environment, capture_output=True, text=True, timeout=SECONDS_MAX, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return -1, "no end"
+    said = [line for line in ended.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return ended.returncode, said[-1].split(" - ")[0] if said else ""
+
+
+def outcome(entry: Break, tree: Path, cache: Path) -> tuple[str, str]:
+    """What became of one break, and the test that saw it."""
+    place = tree / entry.file
+    whole = place.read_text()
+    if whole.count(entry.old) != 1:
+        return "stale", ""
+    place.write_text(whole.replace(entry.old, entry.new))
+    try:
+        code, said = tests_pass(tree, cache, entry.paths)
+    finally:
+        place.write_text(whole)
+    return {0: "survived", 1: "caught"}.get(code, "unclear"), said
+
+
+def lay_out(folder: Path) -> tuple[Path, Path]:
+    """A copy of the tree, and one of the kernels already compiled."""
+    import warp as wp
+
+    tree, cache = folder / "tree", folder / "cache"
+    left = shutil.ignore_patterns(".git", "__pycache__", ".pytest_cache", ".ruff_cache", "build", "*.egg-info")
+    shutil.copytree(ROOT, tree, symlinks=True, ignore=left)
+    wp.config.log_level = logging.WARNING
+    wp.init()
+    compiled = Path(wp.config.kernel_cache_dir or cache)  # where it is, now that Warp has started
+    if compiled.is_dir():
+        shutil.copytree(compiled, cache)
+    return tree, cache
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", type=int, nargs="+", metavar="N", help="these entries alone, counted from 1")
+    chosen = parser.parse_args().only or range(1, len(BREAKS) + 1)
+    if not all(1 <= n <= len(BREAKS) for n in chosen):
+        parser.error(f"--only: expected numbers from 1 to {len(BREAKS)}")
+    counts: dict[str, int] = {"caught": 0, "survived": 0, "unclear": 0, "stale": 0}
+    with tempfile.TemporaryDirectory(prefix="break-core-") as folder:
+        tree, cache = lay_out(Path(folder))
+        paths = sorted({path for n in chosen for path in BREAKS[n - 1].paths})
+        code, said = tests_pass(tree, cache, paths)
+        if code:
+            print(f"the tests do not pass before anything is broken: {said or f'exit code {code}'}")
+            return 1
+        for n in chosen:
+            entry, began = BREAKS[n - 1], time.perf_counter()
+            found, said = outcome(entry, tree, cache)
+            counts[found] += 1
+            seconds = time.perf_counter() - began
+            print(f"{n:3} {found:9}{seconds:5.0f} s  {entry.file}: {entry.reason}  {said}", flush=True)
+    print(", ".join(f"{count} {name}" for name, count in counts.items()))
+    return 0 if counts["caught"] == len(chosen) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
