@@ -17,6 +17,11 @@ from warpdef.kernels.sizes import sizes
 wp.set_module_options(MODULE_OPTIONS)
 
 
+NEWTON_STEPS = wp.constant(5)
+LEAST_CURVATURE = wp.constant(1.0e-4)  # of trace(R^T s), its largest entry 1: below, Newton's steps say nothing
+STILL_SQ = wp.constant(1.0e-6)  # a turn below a thousandth of a radian leaves its square to the next
+
+
 @wp.func
 def nearest_rotation(s: wp.mat33) -> wp.mat33:
     """The rotation R that maximises trace(R^T s); of a rank-2 matrix the third axis follows by handedness.
@@ -37,6 +42,49 @@ def nearest_rotation(s: wp.mat33) -> wp.mat33:
     return rotation
 
 
+@wp.func
+def is_rotation(r: wp.mat33) -> bool:
+    """Whether r is orthogonal, no reflection, and no number is missing; to 1e-3, which Newton's steps then mend."""
+    off = wp.ddot(wp.transpose(r) * r - wp.identity(n=3, dtype=wp.float32), wp.identity(n=3, dtype=wp.float32))
+    return wp.abs(off) < 1.0e-3 and wp.abs(wp.determinant(r) - 1.0) < 1.0e-3
+
+
+@wp.func
+def followed_rotation(s: wp.mat33, start: wp.mat33) -> wp.mat33:
+    """The same as ``nearest_rotation``, found by Newton's method from a rotation that is near; a third of the cost.
+
+    With M = R^T s, a turn by w changes the trace by v . w - w^T H w / 2, v twice the axis of M's antisymmetric part and
+    H = trace(M) I - sym(M). A step is H^-1 v. trace(R^T s) has one maximum on the rotations and no other local one, so
+    where H is positive definite at the end it is found; else, or where the start is no rotation, the singular values
+    are asked.
+    """
+    largest = wp.max(wp.max(wp.abs(s[0]), wp.abs(s[1])), wp.abs(s[2]))
+    scale = wp.max(largest)
+    found = bool(False)
+    rotation = start
+    if scale > 0.0 and is_rotation(start):
+        going = bool(True)
+        for _step in range(NEWTON_STEPS):
+            if going:
+                m = wp.transpose(rotation) * (s / scale)
+                h = wp.trace(m) * wp.identity(n=3, dtype=wp.float32) - 0.5 * (m + wp.transpose(m))
+                minor = h[0, 0] * h[1, 1] - h[0, 1] * h[0, 1]
+                whole = wp.determinant(h)
+                if h[0, 0] > LEAST_CURVATURE and minor > LEAST_CURVATURE and whole > LEAST_CURVATURE:
+                    w = wp.inverse(h) * wp.vec3(m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1])
+                    # The rotation by w to second order, a quaternion; its error is of third order and vanishes with w.
+                    turn = wp.normalize(wp.quat(0.5 * w[0], 0.5 * w[1], 0.5 * w[2], 1.0))
+                    rotation = wp.quat_to_matrix(wp.normalize(wp.quat_from_matrix(rotation) * turn))
+                    size = wp.length_sq(w)
+                    found = size < STILL_SQ
+                    going = not found and size < 1.0
+                else:
+                    going = False
+    if not found:
+        rotation = nearest_rotation(s)
+    return rotation
+
+
 @sizes("threads: T*V; row: V+1; column: E; rest: V; vertices rotation_out: T V")
 @wp.kernel
 def _fit_rotations(
@@ -46,7 +94,7 @@ def _fit_rotations(
     column: wp.array[wp.int32],
     rest: wp.array[wp.vec3],
     vertices: wp.array2d[wp.vec3],
-    # Out:
+    # In and out:
     rotation_out: wp.array2d[wp.mat33],
 ):
     """One thread a vertex of a frame."""
@@ -57,7 +105,7 @@ def _fit_rotations(
     for e in range(row[i], row[i + 1]):
         j = column[e]
         s += wp.outer(vertices[t, i] - vertices[t, j], rest[i] - rest[j])
-    rotation_out[t, i] = nearest_rotation(s)
+    rotation_out[t, i] = followed_rotation(s, rotation_out[t, i])
 
 
 @sizes("threads: T*V; row: V+1; column: E; rest: V; rotation vertices pull_out: T V")
