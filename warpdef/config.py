@@ -220,7 +220,13 @@ class LossConfig:
 class OptimiserConfig:
     """Adam and its schedule (sec. Implementation Details)."""
 
-    iterations: int = 300
+    chain: bool = False
+    """True: the paper's descent, the template moved by the grids of all transitions one after the other.
+
+    False: grids are fitted cloud to cloud, and the mesh follows them frame by frame (``refine``)."""
+    points: int = 5000
+    """Points a frame, evenly spread, that grids are fitted to; 0: all. The vertices are always fitted to all."""
+    iterations: int = 60
     """Iterations for up to 17 frames."""
     iterations_per_frame: float = 0.0
     """Further iterations for every frame beyond 17."""
@@ -244,6 +250,7 @@ class OptimiserConfig:
     """Adam's guard against division by zero."""
 
     def __post_init__(self) -> None:
+        _require(self.points >= 0, "optimiser.points", "0 (all) or more", self.points)
         _require(self.iterations >= 1, "optimiser.iterations", "at least 1", self.iterations)
         _require(
             self.iterations_per_frame >= 0,
@@ -262,7 +269,9 @@ class OptimiserConfig:
         _require_sane(self, "optimiser.")
 
     def for_length(self, frame_count: int) -> OptimiserConfig:
-        """The same with the rate and the warm-up of a sequence of ``frame_count`` frames."""
+        """The same with the rate and the warm-up of ``frame_count`` frames; without a chain no number depends on it."""
+        if not self.chain:
+            return self
         fall = (BASE_FRAMES / max(frame_count, BASE_FRAMES)) ** self.rate_fall
         longest = max(self.warmup, int(WARMUP_SHARE * self.total(frame_count)))
         return replace(self, rate=self.rate * fall, warmup=min(round(self.warmup / fall), longest))
@@ -278,6 +287,8 @@ class RefineConfig:
 
     iterations: int = 20
     """Rounds over all frames and the shape; 0 leaves the stage out, as the paper does."""
+    follow: int = 6
+    """Rounds for a frame alone, on the way outwards from the keyframe, before the next starts from it."""
     rigidity: float = 0.1
     """Weight of local rigidity against one point-to-plane residual a vertex, for clean clouds."""
     rigidity_noisy: float = 10.0
@@ -286,7 +297,7 @@ class RefineConfig:
     """Local thickness over width of a cloud (16 neighbours) up to which it counts as clean."""
     noisy_thickness: float = 0.55
     """Local thickness over width at which a cloud's own normals are no longer used."""
-    damping: float = 0.01
+    damping: float = 0.001
     """Weight that holds a vertex where it was at the start of a round."""
     reach: float = 3.0
     """Distance, in mean point spacings of the frame, at which a pair's weight has fallen to 1/e."""
@@ -305,6 +316,7 @@ class RefineConfig:
 
     def __post_init__(self) -> None:
         _require(self.iterations >= 0, "refine.iterations", "0 or more", self.iterations)
+        _require(self.follow >= 0, "refine.follow", "0 or more", self.follow)
         for key in ("rigidity", "rigidity_noisy", "damping", "reach", "shape_smoothness", "clean_thickness"):
             _require(getattr(self, key) > 0, f"refine.{key}", "a number above 0", getattr(self, key))
         above = f"a number above refine.clean_thickness ({self.clean_thickness})"

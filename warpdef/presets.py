@@ -33,6 +33,8 @@ def preset(name: str) -> Config:
         refine=replace(base.refine, iterations=0),
         optimiser=replace(
             base.optimiser,
+            chain=True,
+            points=0,
             iterations=5000,
             iterations_per_frame=80.0,
             warmup=100,

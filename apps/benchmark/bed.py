@@ -70,12 +70,13 @@ class Case:
 
 
 def bench_config(size: Size) -> Config:
-    """The default configuration with this size's levels and iterations."""
+    """The default configuration with the paper's descent, and this size's levels and iterations."""
     base = Config()
+    descent = replace(base.optimiser, chain=True, points=0, iterations_per_frame=0.0)
     return replace(
         base,
         grid=replace(base.grid, levels=size.levels),
-        optimiser=replace(base.optimiser, iterations=size.iterations, warmup=size.warmup, iterations_per_frame=0.0),
+        optimiser=replace(descent, iterations=size.iterations, warmup=size.warmup),
     )
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpdef.fit.problem import Problem, span
+from warpdef.fit.problem import Clouds, Problem, span
 from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.neighbours import NearestSearch
 
 
-def cloud_grid(problem: Problem) -> PointGrid:
-    """The clouds of all frames, sorted once: they stay where they are."""
-    grid = PointGrid(problem.cloud, problem.cloud_sizes, problem.box)
+def cloud_grid(problem: Problem, clouds: Clouds) -> PointGrid:
+    """Clouds of all frames, sorted once: they stay where they are."""
+    grid = PointGrid(clouds.points, clouds.sizes, problem.box)
     grid.build()
     return grid
 
@@ -21,7 +21,8 @@ class Correspondences:
     """Groups of moving points, each with the one cloud that it meets.
 
     Args:
-        clouds: see ``cloud_grid``. moving: shape (N,) vec3, cube units, groups behind each other.
+        clouds: those met. grid: they, sorted, see ``cloud_grid``.
+        moving: shape (N,) vec3, cube units, groups behind each other.
         sizes: points in each group.
         meets: shape (N,) int32, the frame whose cloud a moving point meets.
         met_by: shape (cloud points,) int32, the group that a cloud point is met by; negative for none.
@@ -32,17 +33,18 @@ class Correspondences:
     def __init__(
         self,
         problem: Problem,
-        clouds: PointGrid,
+        clouds: Clouds,
+        grid: PointGrid,
         moving: wp.array,
         sizes: np.ndarray,
         meets: wp.array,
         met_by: wp.array,
     ) -> None:
         self._offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-        self._cloud_offsets = problem.cloud_offsets
-        self.clouds, self.grid = clouds, PointGrid(moving, sizes, problem.box)
-        self.forth = NearestSearch(clouds, moving, meets)
-        self.back = NearestSearch(self.grid, problem.cloud, met_by)
+        self._cloud_offsets = clouds.offsets
+        self.clouds, self.grid = grid, PointGrid(moving, sizes, problem.box)
+        self.forth = NearestSearch(grid, moving, meets)
+        self.back = NearestSearch(self.grid, clouds.points, met_by)
 
     def spans(self, groups: tuple[int, int], frames: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
         """Begin and count of the moving points of these groups, and of the points of these frames' clouds."""

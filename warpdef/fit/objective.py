@@ -42,8 +42,9 @@ class Objective:
         self.chain = Chain(p, nodes, adj_nodes)
         borrow, shape = p.pool.borrower(), (p.frame_count, p.vertex_count)
         self.sums = Sums(borrow(wp.vec3, shape), borrow(wp.vec3, shape))
-        clouds = cloud_grid(p)
-        self.input = InputTerm(p, clouds, self.chain, adj_nodes)
+        clouds = cloud_grid(p, p.clouds)
+        sample = clouds if p.sample is p.clouds else cloud_grid(p, p.sample)
+        self.input = InputTerm(p, sample, self.chain, adj_nodes)
         self.transform = TransformTerm(p, clouds, self.chain, self.sums.weighed)
         self.terms: list[VertexTerm] = [self.transform, *vertex_terms(p, self.chain, self.sums)]
         self.confidence = wp.full(p.frame_count, 1.0, dtype=wp.float32, device=p.device)
@@ -92,9 +93,11 @@ class Objective:
     # Phases.
 
     def phases(self, warmup: bool) -> list[Phase]:
-        """All phases of an evaluation; during warm-up only the input and mesh terms."""
+        """All phases of an evaluation; during warm-up only the input and mesh terms, without a chain the input term."""
         p = self.problem
         clouds = [partial(self.input.run, a, b) for a, b in p.transition_spans()]
+        if not p.config.optimiser.chain:
+            return [Phase("move", clouds)]
         if warmup:
             return [Phase("move", [*clouds, self._mesh_term])]
         runs = p.vertex_spans()
@@ -125,7 +128,7 @@ class Objective:
     def losses(self) -> dict[str, float]:
         """Weighted terms of the last evaluation, as they enter the objective, and their sum."""
         found, trust = self.input.losses(), self.confidence.numpy()
-        for term in self.terms:
+        for term in self.terms if self.problem.config.optimiser.chain else ():
             found |= term.losses(trust)
         return {**found, "total": sum(found.values())}
 

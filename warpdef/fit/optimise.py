@@ -181,7 +181,23 @@ class Optimiser:
 
     # Phases.
 
+    def _guide_phases(self) -> list[Phase]:
+        """Grids alone: no vertex is moved, and the template stays as it is."""
+        grids, spans, everything = self.grids, self.problem.transition_spans(), (0, len(self.problem.transitions))
+        calls = (grids.solve_gradient, self._descend, grids.solve_values)
+        if not grids.direct:
+            last = [Phase("descend", [partial(_span_in_turn, calls, a, b) for a, b in spans])]
+        else:
+            last = [
+                Phase("gradient solves", [partial(calls[0], *everything)], direct=True),
+                Phase("descend", [partial(self._descend, a, b) for a, b in spans]),
+                Phase("value solves", [partial(calls[2], *everything)], direct=True),
+            ]
+        return [Phase("advance", [self._advance]), *self.objective.phases(warmup=True), *last]
+
     def _phases(self, warmup: bool) -> list[Phase]:
+        if not self.config.chain:
+            return self._guide_phases()
         o, grids, shape, spans = self.objective, self.grids, self.shape, self.problem.transition_spans()
         gather = partial(self._gather_shape, warmup)
         scatter = [] if warmup else [o.chain.scatter]

@@ -8,6 +8,7 @@ stand behind each other in flat arrays, points along a Morton curve, so a frame 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -18,11 +19,25 @@ from warpdef.device import way_of
 from warpdef.fit.measures import CloudMeasures, border_of, mean_edge_length
 from warpdef.fit.morton import morton_order
 from warpdef.fit.pool import Pool
+from warpdef.geometry.sampling import spread_evenly
 from warpdef.geometry.triangles import face_areas, unique_edges
 from warpdef.kernels import ways
 from warpdef.kernels.graphs import Graph, kept_nodes, mesh_graph
 from warpdef.kernels.levels import LevelTable
 from warpdef.transitions import Transitions
+
+
+@dataclass(frozen=True)
+class Clouds:
+    """Clouds of T frames behind each other on the device.
+
+    points, normals: shape (N,) vec3. sizes: points in each frame, (T,). offsets: where each begins, (T + 1,).
+    """
+
+    points: wp.array
+    normals: wp.array
+    sizes: np.ndarray
+    offsets: np.ndarray
 
 
 class Problem:
@@ -53,7 +68,7 @@ class Problem:
         if normals is not None:
             normals = [n[o] for n, o in zip(normals, orders, strict=True)]
         self._lay_clouds(clouds, normals)
-        self._lay_moved(clouds)
+        self._lay_sample(clouds, normals)
         self._lay_template(vertices, faces)
         self.oriented = np.ones(len(clouds), dtype=bool) if oriented is None else np.asarray(oriented)
         self.kept = self._keep_nodes(clouds)
@@ -67,11 +82,22 @@ class Problem:
         # Without a tangential part normals are multiplied by 0; zeros are as good as any.
         self.normals = self.vectors(np.zeros_like(flat) if normals is None else np.concatenate(normals))
         self.cloud_frame = self.integers(np.repeat(np.arange(len(clouds)), self.cloud_sizes))
-        self.cloud_transition = self.integers(np.repeat(self.transitions.of_frame, self.cloud_sizes))
+        self.clouds = Clouds(self.cloud, self.normals, self.cloud_sizes, self.cloud_offsets)
 
-    def _lay_moved(self, clouds: list[np.ndarray]) -> None:
+    def _lay_sample(self, clouds: list[np.ndarray], normals: list[np.ndarray] | None) -> None:
+        """The points that grids are fitted to, and the same as they set out over a transition."""
+        most, self.sample = self.config.optimiser.points, self.clouds
+        if most and max(len(c) for c in clouds) > most:
+            chosen = [spread_evenly(c, most) for c in clouds]
+            clouds = [c[i] for c, i in zip(clouds, chosen, strict=True)]
+            sizes, flat = np.array([len(c) for c in clouds]), np.concatenate(clouds)
+            sides = np.zeros_like(flat)
+            if normals is not None:
+                sides = np.concatenate([n[i] for n, i in zip(normals, chosen, strict=True)])
+            self.sample = Clouds(self.vectors(flat), self.vectors(sides), sizes, _offsets(sizes))
+        self.sample_transition = self.integers(np.repeat(self.transitions.of_frame, self.sample.sizes))
         source = self.transitions.source
-        self.moved_sizes = self.cloud_sizes[source]
+        self.moved_sizes = self.sample.sizes[source]
         self.moved_offsets = _offsets(self.moved_sizes)
         self.origin = self.vectors(np.concatenate([clouds[t] for t in source]))
         self.moved_transition = self.integers(np.repeat(np.arange(len(source)), self.moved_sizes))

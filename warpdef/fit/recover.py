@@ -131,10 +131,10 @@ def recover(
     Returns:
         Frames recovered, and frames that stay lost.
     """
-    search = _Search(vertices, clouds, Surface.of(faces, edges), keyframe)
+    search = Search(vertices, clouds, Surface.of(faces, edges), keyframe)
     for side in (range(keyframe + 1, len(clouds)), range(keyframe - 1, -1, -1)):
         for t in side:
-            if search.lost(t) and search.uncovered[t - side.step] <= _NOTHING:
+            if search.lost(t):
                 search.learn(t, t - side.step)
         for t in reversed(side[:-1]):
             if search.lost(t) and not search.lost(t + side.step):
@@ -142,40 +142,61 @@ def recover(
     return sorted(search.recovered), [t for t in range(len(clouds)) if t != keyframe and search.lost(t)]
 
 
-class _Search:
-    """Frames, how much of their points is not covered, and which were recovered so far."""
+class Search:
+    """Frames, how much of their points is not covered, and which were recovered so far.
+
+    Args:
+        vertices: shape (T, V, 3) float64; frames that learn are overwritten. clouds: T of them, in the same unit.
+        surface: of the mesh. keyframe: a frame that fits.
+    """
 
     def __init__(self, vertices: np.ndarray, clouds: list[Cloud], surface: Surface, keyframe: int) -> None:
         self.vertices, self._clouds, self._surface, self._keyframe = vertices, clouds, surface, keyframe
         self._matches = [Matches(cloud, surface) for cloud in clouds]
-        self.uncovered = [m.uncovered(v) for m, v in zip(self._matches, vertices, strict=True)]
-        self._bound = lost_above(self.uncovered[keyframe])
+        self._uncovered: dict[int, float] = {}
+        self._bound = lost_above(self.uncovered(keyframe))
         self.recovered: set[int] = set()
 
+    def uncovered(self, t: int) -> float:
+        """Share of frame t's points that its mesh does not cover."""
+        if t not in self._uncovered:
+            self._uncovered[t] = self._matches[t].uncovered(self.vertices[t])
+        return self._uncovered[t]
+
+    def place(self, t: int, vertices: np.ndarray) -> None:
+        """Frame t has these vertices (V, 3) now."""
+        self.vertices[t] = vertices
+        self._uncovered.pop(t, None)
+
     def lost(self, t: int) -> bool:
-        return self.uncovered[t] > self._bound
+        """Whether a part of frame t's points is not covered."""
+        return self.uncovered(t) > self._bound
 
     @cached_property
     def _graph(self) -> DeformationGraph:
         return DeformationGraph.build(self.vertices[self._keyframe], self._surface.edges, NODES)
 
-    def learn(self, t: int, neighbour: int) -> None:
-        """Bend a neighbour's mesh onto frame t, and keep what covers more."""
+    def learn(self, t: int, neighbour: int) -> bool:
+        """Bend a neighbour's mesh onto frame t, and keep what covers more; says whether it did."""
+        if self.uncovered(neighbour) > _NOTHING:
+            return False
         if not self._matches[t].cloud.oriented:
             self._matches[t] = Matches(self._clouds[t].turned_outwards(), self._surface)
-            self.uncovered[t] = self._matches[t].uncovered(self.vertices[t])
-        rest = self.vertices[neighbour]
+            self._uncovered.pop(t, None)
+        found, rest = False, self.vertices[neighbour]
         looser = () if self.lost(neighbour) else LOOSER  # what is lost itself teaches little
         for rule in ((REACH, AGREEMENT), *looser):
             again = _bend(self._graph, rest, self._matches[t], rule)
             left = self._matches[t].uncovered(again)
             # Looser matches are trusted only if in the end nothing is lost.
-            enough = self._bound if rule in looser else max(_BETTER * self.uncovered[t], self._bound)
+            enough = self._bound if rule in looser else max(_BETTER * self.uncovered(t), self._bound)
             if left <= enough:
-                self.vertices[t], self.uncovered[t] = again, left
+                self.vertices[t], self._uncovered[t] = again, left
                 self.recovered.add(t)
+                found = True
             if not self.lost(t):
                 break
+        return found
 
 
 def _bend(graph: DeformationGraph, rest: np.ndarray, matches: Matches, rule: tuple[float, float]) -> np.ndarray:

@@ -173,7 +173,8 @@ class Refinement:
 
     def step(self) -> None:
         """One round; before one of them, frames that lost a limb are fitted again."""
-        if self.config.recover and self.done == min(_SETTLED, self.config.iterations // 2):
+        chain, settled = self.problem.config.optimiser.chain, min(_SETTLED, self.config.iterations // 2)
+        if self.config.recover and chain and self.done == settled:
             self._recover()
         self._round.run()
         self.done += 1
@@ -210,9 +211,13 @@ class Refinement:
         """The keyframe's vertices are the shape."""
         copy_vectors(frame_of(self.objective.vertices, self.problem.transitions.keyframe), self._rest)
 
-    def settle(self, frame: int, rounds: int) -> None:
-        """Fit one frame alone to its cloud and the shape as they are; frames may be settled at the same time."""
+    def settle(self, frame: int, neighbour: int, rounds: int) -> None:
+        """Fit one frame alone to its cloud and the shape as they are; frames may be settled at the same time.
+
+        Rotations are looked for from those of a neighbour, already settled.
+        """
         o, count = self.objective, self.problem.vertex_count
+        wp.copy(self._rotation[frame], self._rotation[neighbour])
         if self._expected is not None:
             # What is not seen goes with its neighbour's step.
             copy_vectors(frame_of(o.vertices, frame), frame_of(self._expected, frame))

@@ -15,8 +15,8 @@ import warp as wp
 
 from warpdef.errors import WarpdefError
 from warpdef.files.checkpoint import understood
+from warpdef.fit.follow import follow
 from warpdef.fit.optimise import Optimiser
-from warpdef.fit.outward import follow_outwards
 from warpdef.fit.refine import Refinement
 from warpdef.fit.saving import Saved, Saver
 from warpdef.kernels.finite import flag_not_finite
@@ -31,7 +31,7 @@ class FitRun:
     """A run of the grid stage and, where there is one, of the vertex stage.
 
     steps: the loss curve, a record a look. warnings: what went wrong and how it went on.
-    followed: frames that the chain of grids had lost, fitted one after the other (``outward``).
+    followed: frames fitted one after the other (``follow``). bent: those of them that matches found, not grids.
     stopped: why the run ended before its time; empty if it did not.
     """
 
@@ -49,6 +49,7 @@ class FitRun:
         self.steps: list[dict[str, float]] = []
         self.warnings: list[str] = []
         self.followed: list[int] = []
+        self.bent: list[int] = []
         self.stopped = ""
         self._undone = 0  # in a row
         self._refining = False
@@ -126,8 +127,9 @@ class FitRun:
             return
         reason = self.limits.reason()
         if not self._refining and not reason:
-            if r.config.recover:
-                self.followed = follow_outwards(self.optimiser.objective, r, self.threads, self.limits.reason)
+            if r.config.follow and (r.config.recover or not self.optimiser.config.chain):
+                objective = self.optimiser.objective
+                self.followed, self.bent = follow(objective, r, self.threads, self.limits.reason)
                 reason = self.limits.reason()
             if not reason:
                 r.start()
@@ -175,6 +177,7 @@ class FitRun:
             "steps": self.steps,
             "warnings": self.warnings,
             "followed": self.followed,
+            "bent": self.bent,
             "solves": [asdict(s.solves) for s in (o, r) if s is not None],
         }
         arrays = {f"grids.{name}": a for name, a in o.kept().items()}
@@ -193,7 +196,7 @@ class FitRun:
         facts, o, r = saved.facts, self.optimiser, self.refinement
         self.steps, self._undone = list(facts["steps"]), facts["undone"]
         self.warnings = [*facts["warnings"], *saved.warnings()]
-        self.followed = list(facts["followed"])
+        self.followed, self.bent = list(facts["followed"]), list(facts["bent"])
         with understood(saved.path):
             o.restore(saved.part("grids"), facts["rate_scale"])
             if not 0 <= o.done <= o.iterations:

@@ -29,6 +29,7 @@ from warpdef.kernels.vectors import clear_columns, clear_losses, clear_vectors
 _REACH_SPACINGS = 1.0
 _REACH_EDGES = 0.25
 _REACH_CLOUDS = 0.75
+_WHOLE = 2.0  # the same in multiples of that, where a cloud seems to show all of the surface
 
 
 Spans = Literal["frames", "vertices"]
@@ -79,23 +80,24 @@ class InputTerm:
     loss: unweighted, shape (S,) float64. rotation, points: of the moved clouds, (N,) vec3. adj_points: their gradient.
     """
 
-    def __init__(self, problem: Problem, clouds: PointGrid, chain: Chain, adj_nodes: wp.array) -> None:
-        p, config = problem, problem.config.loss
+    def __init__(self, problem: Problem, grid: PointGrid, chain: Chain, adj_nodes: wp.array) -> None:
+        p, config, sample = problem, problem.config.loss, problem.sample
         self._problem, self._chain, self._adj_nodes = p, chain, adj_nodes
         transitions, ends = len(p.transitions), p.transitions
         self.rotation, self.points, self.adj_points = p.pool.own("input term", wp.vec3, *[len(p.origin)] * 3)
         (self.loss,) = p.pool.own("input term", wp.float64, transitions)
         self.correspondences = Correspondences(
-            p, clouds, self.points, p.moved_sizes, p.moved_target, p.cloud_transition
+            p, sample, grid, self.points, p.moved_sizes, p.moved_target, p.sample_transition
         )
         self._factor = config.input_weight / transitions
         self._weight = p.numbers(np.full(transitions, self._factor))
         self._robust = (config.robust_alpha, config.robust_power, config.tangential)
-        self._shares = _shares(p, p.moved_sizes), _shares(p, p.cloud_sizes[ends.target])
-        measures, searches = p.measures, self.correspondences
-        self._sides = BOTH_SIDES, BOTH_SIDES
-        if not measures.complete.all():
-            reach = _REACH_CLOUDS * (measures.spacing[ends.source] + measures.spacing[ends.target])
+        self._shares = _shares(p, p.moved_sizes), _shares(p, sample.sizes[ends.target])
+        searches, self._sides = self.correspondences, (BOTH_SIDES, BOTH_SIDES)
+        if one_sided(p):
+            # Fewer points on the same surface stand farther apart.
+            spacing = p.measures.spacing * np.sqrt(p.cloud_sizes / sample.sizes)
+            reach = _REACH_CLOUDS * (spacing[ends.source] + spacing[ends.target])
             self._sides = (
                 (searches.back.index, _one_sided(p, reach, ends.target)),
                 (searches.forth.index, _one_sided(p, reach, ends.source)),
@@ -103,7 +105,7 @@ class InputTerm:
 
     def run(self, first: int, last: int) -> None:
         """Move the clouds of transitions ``first .. last``, compare, and leave the gradient in their nodes."""
-        p, c = self._problem, self.correspondences
+        p, c, sample = self._problem, self.correspondences, self._problem.sample
         groups, frames = (first, last), p.transitions.targets(first, last)
         (begin, count), (met_begin, met_count) = c.spans(groups, frames)
         chain = self._chain
@@ -113,11 +115,11 @@ class InputTerm:
         c.find(groups, frames)
         results = (self._weight, self._robust, self.loss, self.adj_points)
         moving_to_fixed(
-            begin, count, self.points, p.moved_transition, c.forth.index, p.cloud, p.normals,
+            begin, count, self.points, p.moved_transition, c.forth.index, sample.points, sample.normals,
             self._shares[0], *results, self._sides[0],
         )  # fmt: skip
         fixed_to_moving(
-            met_begin, met_count, p.cloud, p.normals, p.cloud_transition, c.back.index, self.points,
+            met_begin, met_count, sample.points, sample.normals, p.sample_transition, c.back.index, self.points,
             self._shares[1], *results, self._sides[1],
         )  # fmt: skip
         adj_move_points(
@@ -139,12 +141,12 @@ class TransformTerm:
     spans: Spans = "frames"
     weighed = True
 
-    def __init__(self, problem: Problem, clouds: PointGrid, chain: Chain, adjoint: wp.array) -> None:
+    def __init__(self, problem: Problem, grid: PointGrid, chain: Chain, adjoint: wp.array) -> None:
         p, config = problem, problem.config.loss
         self._problem, self._vertices, self._adjoint = p, chain.vertices.flatten(), adjoint.flatten()
         frames = p.frame_count
         sizes = np.full(frames, p.vertex_count)
-        self.correspondences = Correspondences(p, clouds, self._vertices, sizes, p.vertex_frame, p.cloud_frame)
+        self.correspondences = Correspondences(p, p.clouds, grid, self._vertices, sizes, p.vertex_frame, p.cloud_frame)
         (self.loss,) = p.pool.own("transform term", wp.float64, frames)
         self._factors = np.full(frames, config.transform_weight / len(p.transitions))
         self._factors[p.transitions.keyframe] = config.mesh_weight
@@ -153,7 +155,7 @@ class TransformTerm:
         self._shares = _shares(p, sizes), _shares(p, p.cloud_sizes)
         measures = p.measures
         self.sides = BOTH_SIDES
-        if not measures.complete.all():
+        if one_sided(p):
             reach = _REACH_SPACINGS * measures.spacing + _REACH_EDGES * p.edge_length
             self.sides = self.correspondences.back.index, _one_sided(p, reach, np.arange(frames))
 
@@ -234,6 +236,16 @@ def _shares(p: Problem, sizes: np.ndarray) -> wp.array:
     return p.numbers(1.0 / sizes if p.config.loss.reduction == "mean" else np.ones(len(sizes)))
 
 
+def one_sided(p: Problem) -> bool:
+    """Whether pairs are weighed by the way back: always but in the paper's descent, and there where a frame is partial.
+
+    What a frame shows is known vertex by vertex, not frame by frame: even whole bodies hide their folds.
+    """
+    return not (p.config.optimiser.chain and bool(p.measures.complete.all()))
+
+
 def _one_sided(p: Problem, reach: np.ndarray, answered_by: np.ndarray) -> wp.array:
-    """Reach by slot; infinite, so that every pair counts, where the answering frame shows all of the surface."""
-    return p.numbers(np.where(p.measures.complete[answered_by], np.inf, reach))
+    """Reach by slot, farther where the answering frame seems to show all of the surface; in the paper's descent there
+    infinite, so that every pair counts."""
+    whole = np.inf if p.config.optimiser.chain else _WHOLE
+    return p.numbers(np.where(p.measures.complete[answered_by], whole, 1.0) * reach)

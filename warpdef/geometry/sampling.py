@@ -1,10 +1,12 @@
-"""Points drawn from a surface, uniform by area."""
+"""Points drawn from a surface, uniform by area; and from a cloud, evenly in space."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from warpdef.errors import InputError
+
+_VOXEL_TRIALS = 8
 
 
 def sample_surface(
@@ -40,3 +42,28 @@ def sample_surface(
     barycentric = np.column_stack([1.0 - root, root * (1.0 - second), root * second])
     points = np.einsum("nk,nki->ni", barycentric, corners[face])
     return points, normals[face] / double_area[face, None], face, barycentric
+
+
+def spread_evenly(points: np.ndarray, count: int) -> np.ndarray:
+    """Indices of at most ``count`` points (N, 3), evenly spread whatever the density: one a voxel; ascending.
+
+    Voxels are as large as leaves about ``count`` of them occupied; what is over is dropped at equal intervals. The same
+    points give the same indices.
+    """
+    if len(points) <= count:
+        return np.arange(len(points))
+    low = points.min(axis=0)
+    size = float(np.ptp(points, axis=0).max()) / np.sqrt(count)
+    chosen = np.arange(len(points))
+    # A surface occupies about as many voxels as the inverse square of their size.
+    for _ in range(_VOXEL_TRIALS):
+        cell = ((points - low) / max(size, 1e-30)).astype(np.int64)
+        key = (cell[:, 0] << 42) + (cell[:, 1] << 21) + cell[:, 2]
+        chosen = np.unique(key, return_index=True)[1]
+        if count <= len(chosen) <= 1.1 * count:
+            break
+        size *= float(np.clip(np.sqrt(len(chosen) / (1.05 * count)), 0.25, 4.0))
+    chosen = np.sort(chosen)
+    if len(chosen) > count:
+        chosen = chosen[np.linspace(0, len(chosen) - 1, count).astype(int)]
+    return chosen

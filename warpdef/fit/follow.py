@@ -1,0 +1,116 @@
+"""The mesh follows the grids: frames are fitted one after the other, outwards from the keyframe.
+
+A chain of grids adds up the errors of its transitions, and a descent through all of them folds what a frame does not
+show. But each transition's own grid is good: it takes cloud to cloud without the mesh. So each frame starts from its
+inner neighbour, already fitted, moved by the one transition between them, and is fitted by a few rounds of the vertex
+stage before the next. Where that leaves points uncovered, the neighbour's mesh is bent by matches (``recover``), too,
+and what fits better is kept; what stays lost is tried once more from the frame behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from warpdef.fit.objective import Objective
+from warpdef.fit.recover import Cloud, Search, Surface
+from warpdef.fit.refine import Refinement
+from warpdef.geometry.cloud_normals import turned_to
+from warpdef.geometry.triangles import vertex_normals
+from warpdef.kernels.ways import Way
+
+
+def follow(
+    objective: Objective, refinement: Refinement, threads: int = 1, stopped: Callable[[], object] = bool
+) -> tuple[list[int], list[int]]:
+    """Fit all frames but the keyframe in place; after the paper's descent those from the first lost one on.
+
+    Args:
+        objective: grids fitted; its ``vertices`` are the start and the result.
+        refinement: the vertex stage of the same problem, not yet started.
+        threads: with two or more both sides are followed at the same time on the CPU; the result is the same bits.
+        stopped: asked before every frame; if true the frames left stay as they are.
+
+    Returns:
+        The frames fitted, and those of them that took a way of their own (bent by matches); both ascending.
+    """
+    walk = _Walk(objective, refinement, stopped)
+    ends = objective.problem.transitions
+    refinement.take_shape()
+    with ThreadPoolExecutor(2 if threads > 1 and objective.problem.way is Way.SPANS else 1) as pool:
+        sides = list(pool.map(walk.outwards, (ends.forward, ends.backward)))
+    objective.problem.normals.assign(walk.given)
+    return sorted(t for side in sides for t in side), sorted(walk.bent)
+
+
+class _Walk:
+    """Frames on the way outwards, and what is known of how well each is covered."""
+
+    def __init__(self, objective: Objective, refinement: Refinement, stopped: Callable[[], object]) -> None:
+        p = self.problem = objective.problem
+        self.objective, self.refinement, self.stopped = objective, refinement, stopped
+        self.given = p.normals.numpy().copy()
+        self.points, self.normals = p.by_frame(p.cloud.numpy()), p.by_frame(self.given)
+        clouds = [
+            Cloud(points, normals, bool(sided), bool(sided))
+            for points, normals, sided in zip(self.points, self.normals, p.oriented, strict=True)
+        ]
+        surface = Surface.of(p.faces, p.edges.numpy())
+        self.search = Search(objective.vertices.numpy().astype(np.float64), clouds, surface, p.transitions.keyframe)
+        self.bent: set[int] = set()
+
+    def outwards(self, transitions: range) -> list[int]:
+        """Frames of one side, in order."""
+        p, config, ends = self.problem, self.problem.config.refine, self.problem.transitions
+        fitted: list[int] = []
+        for s in transitions:
+            source, target = int(ends.source[s]), int(ends.target[s])
+            # Of an incomplete frame what is seen need not hang together: it says nothing of what is lost.
+            judged = bool(p.measures.complete[target])
+            if p.config.optimiser.chain and not fitted and not (judged and self.search.lost(target)):
+                continue
+            if self.stopped():
+                break
+            self.objective.chain.move_one(s, 0, p.vertex_count)
+            self._settle(target, source)
+            if config.recover and judged and self.search.lost(target):
+                self._bend(target, source)
+            fitted.append(target)
+        if config.recover and not p.config.optimiser.chain:
+            for inner, outer in zip(fitted[-2::-1], fitted[:0:-1], strict=True):
+                if p.measures.complete[inner] and self.search.lost(inner) and not self.search.lost(outer):
+                    self._bend(inner, outer)
+        return fitted
+
+    def _settle(self, frame: int, neighbour: int) -> None:
+        """Fit a frame from where its vertices are, and measure it."""
+        vertices = self.objective.vertices[frame]
+        if not self.problem.oriented[frame]:
+            self._choose_sides(frame, vertices.numpy())
+        self.refinement.settle(frame, neighbour, self.problem.config.refine.follow)
+        self.search.place(frame, vertices.numpy().astype(np.float64))
+
+    def _bend(self, frame: int, neighbour: int) -> None:
+        """The neighbour's mesh bent onto a frame by matches, and settled; kept if it leaves less uncovered."""
+        vertices = self.objective.vertices[frame]
+        before, left = vertices.numpy(), self.search.uncovered(frame)
+        if not self.search.learn(frame, neighbour):
+            return
+        vertices.assign(self.search.vertices[frame].astype(np.float32))
+        self._settle(frame, neighbour)
+        if self.search.uncovered(frame) < left:
+            self.bent.add(frame)
+        else:
+            vertices.assign(before)
+            self.search.place(frame, before.astype(np.float64))
+
+    def _choose_sides(self, frame: int, vertices: np.ndarray) -> None:
+        """Normals of unknown side to that of the mesh nearest to them, on the device."""
+        from scipy.spatial import cKDTree
+
+        p = self.problem
+        facing = vertex_normals(vertices.astype(np.float64), p.faces)[cKDTree(vertices).query(self.points[frame])[1]]
+        begin, end = (int(place) for place in p.cloud_offsets[frame : frame + 2])
+        p.normals[begin:end].assign(turned_to(self.normals[frame], facing).astype(np.float32))
