@@ -226,7 +226,7 @@ class OptimiserConfig:
     False: grids are fitted cloud to cloud, and the mesh follows them frame by frame (``refine``)."""
     points: int = 5000
     """Points a frame, evenly spread, that grids are fitted to; 0: all. The vertices are always fitted to all."""
-    iterations: int = 60
+    iterations: int = 100
     """Iterations for up to 17 frames."""
     iterations_per_frame: float = 0.0
     """Further iterations for every frame beyond 17."""
