@@ -3,7 +3,8 @@
     E = sum_t sum_(i,j) | (x_i,t - x_j,t) - (R_i,t + R_j,t)/2 (y_i - y_j) |^2
 
 over the edges of the mesh, with x the vertices of frame t, y one rest shape for all frames, R rotations. Each of the
-three unknowns has its own step: ``fit_rotations`` is the best R for x and y (by singular values); ``rigid_pull`` is
+three unknowns has its own step: ``fit_rotations`` is the best R for x and y (by Newton's method from the
+last, else by singular values); ``rigid_pull`` is
 minus half the gradient to x; ``rest_pull`` is minus half the gradient to y, at y = 0, over the number of frames.
 """
 
@@ -85,7 +86,7 @@ def followed_rotation(s: wp.mat33, start: wp.mat33) -> wp.mat33:
     return rotation
 
 
-@sizes("threads: T*V; row: V+1; column: E; rest: V; vertices rotation_out: T V")
+@sizes("threads: T*V; row: V+1; column: E; rest: V; vertices rotation: T V")
 @wp.kernel
 def _fit_rotations(
     # In:
@@ -94,8 +95,8 @@ def _fit_rotations(
     column: wp.array[wp.int32],
     rest: wp.array[wp.vec3],
     vertices: wp.array2d[wp.vec3],
-    # In and out:
-    rotation_out: wp.array2d[wp.mat33],
+    # In and out: from those that are there
+    rotation: wp.array2d[wp.mat33],
 ):
     """One thread a vertex of a frame."""
     k = begin + wp.tid()
@@ -105,7 +106,7 @@ def _fit_rotations(
     for e in range(row[i], row[i + 1]):
         j = column[e]
         s += wp.outer(vertices[t, i] - vertices[t, j], rest[i] - rest[j])
-    rotation_out[t, i] = followed_rotation(s, rotation_out[t, i])
+    rotation[t, i] = followed_rotation(s, rotation[t, i])
 
 
 @sizes("threads: T*V; row: V+1; column: E; rest: V; rotation vertices pull_out: T V")
@@ -161,15 +162,15 @@ def _rest_pull(
 
 def fit_rotations(
     begin: int, count: int, row: wp.array, column: wp.array, rest: wp.array, vertices: wp.array,
-    rotation_out: wp.array,
+    rotation: wp.array,
 ) -> None:  # fmt: skip
     """Best rotation of ``count`` vertices from ``begin``, counted over all frames (frame t owns V of them).
 
     Args:
         row, column: neighbours, as in ``Graph``. rest: shape (V,) vec3. vertices: shape (T, V) vec3.
-        rotation_out: shape (T, V) mat33.
+        rotation: shape (T, V) mat33; where they are near they are followed, and where they are none, found anew.
     """
-    launch(_fit_rotations, count, [begin, row, column, rest, vertices, rotation_out], vertices.device)
+    launch(_fit_rotations, count, [begin, row, column, rest, vertices, rotation], vertices.device)
 
 
 def rigid_pull(

@@ -68,6 +68,8 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "loss.confidence": FREE,
     "loss.confidence_bound": (["min"], ["max", "mean"]),
     "loss.template_follows_all": FREE,
+    "optimiser.chain": FREE,
+    "optimiser.points": ([-1], [0, 5000]),
     "optimiser.iterations": COUNT,
     "optimiser.iterations_per_frame": FROM_ZERO,
     "optimiser.warmup": ([-1], [0, 100]),
@@ -80,6 +82,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "optimiser.beta2": ([-0.1, 1], [0, 0.99]),
     "optimiser.epsilon": POSITIVE,
     "refine.iterations": ([-1], [0, 50]),
+    "refine.follow": ([-1], [0, 12]),
     "refine.rigidity": POSITIVE,
     "refine.rigidity_noisy": POSITIVE,
     "refine.clean_thickness": ([0, -1], [0.1, 0.5]),
@@ -170,15 +173,17 @@ def test_iterations_grow_with_frames():
 
 
 def test_rates_fall_with_frames():
-    made = OptimiserConfig(rate=0.08, rate_fall=0.5)
+    made = OptimiserConfig(chain=True, rate=0.08, rate_fall=0.5)
     assert [made.for_length(t).rate for t in (2, 17, 68, 272)] == pytest.approx([0.08, 0.08, 0.04, 0.02])
     assert made.for_length(17) == made
     assert made.for_length(68).template_rate == made.template_rate
     # The warm-up grows as the rates fall, to two thirds of the run.
-    made = OptimiserConfig(iterations=300, iterations_per_frame=0.0, warmup=50, rate_fall=0.5)
+    made = OptimiserConfig(chain=True, iterations=300, iterations_per_frame=0.0, warmup=50, rate_fall=0.5)
     assert [made.for_length(t).warmup for t in (2, 17, 68, 272, 10000)] == [50, 50, 100, 200, 200]
-    assert OptimiserConfig(iterations=30, warmup=50).for_length(100).warmup == 50
+    assert OptimiserConfig(chain=True, iterations=30, warmup=50).for_length(100).warmup == 50
     assert preset("paper").optimiser.for_length(80).rate == preset("paper").optimiser.rate
+    # Without a chain no move adds up along the sequence.
+    assert OptimiserConfig(rate_fall=0.5).for_length(272) == OptimiserConfig(rate_fall=0.5)
 
 
 @pytest.mark.parametrize(

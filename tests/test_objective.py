@@ -12,6 +12,7 @@ import reference_refine as twin_refine
 import synthetic
 import warp as wp
 import witness
+from descent import chained
 from gradients import along, assert_gradients_close, finite_differences
 
 from warpdef.config import Config
@@ -58,6 +59,7 @@ class Toy:
         sizes = [40, 23, 31]
         clouds, normals = ([a[:n] for a, n in zip(s, sizes, strict=True)] for s in (moving.clouds, moving.normals))
         config = replace(Config(), grid=replace(Config().grid, levels=levels), loss=replace(Config().loss, **loss))
+        config = chained(config)
         self.device, self.config, self.levels = device, config, reference.resolutions(1, levels)
         template = moving.vertices[keyframe] + 0.02 * rng.normal(size=moving.vertices[0].shape) + [off, 0.0, 0.0]
         self.problem = p = Problem(clouds, normals, template, moving.faces, keyframe, config, wp.get_device(device))

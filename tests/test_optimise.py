@@ -9,6 +9,7 @@ import pytest
 import reference
 import synthetic
 import warp as wp
+from descent import chained
 
 from warpdef.config import Config
 from warpdef.fit.optimise import Optimiser
@@ -17,8 +18,8 @@ from warpdef.fit.workers import Team
 
 
 def configured(**groups: dict) -> Config:
-    """The default configuration with small grids, and these fields of these groups."""
-    config = replace(Config(), grid=replace(Config().grid, levels=4))
+    """The paper's descent on small grids, else the default configuration, with these fields of these groups."""
+    config = chained(replace(Config(), grid=replace(Config().grid, levels=4)))
     return replace(config, **{name: replace(getattr(config, name), **values) for name, values in groups.items()})
 
 

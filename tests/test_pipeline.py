@@ -117,7 +117,8 @@ def test_the_report_tells_what_was_done(clouds, template, device: str) -> None:
     assert json.loads(json_text(report)) is not None
     assert report["iterations"] == 30 and report["refine"]["rounds"] == 3 and not report["interrupted"]
     assert set(report["seconds"]) == {"template", "compile", "optimise", "refine", "assess"}
-    assert set(report["losses"]) == {"mesh", "input", "transform", "isometry", "total"}
+    assert set(report["losses"]) == {"input", "total"}
+    assert report["refine"]["frames_followed"] == [t for t in range(4) if t != report["keyframe"]]
     assert report["solver"]["sobolev"]["name"] == "cosine" and report["solver"]["refine"]["not_converged"] == 0
     assert report["peak_memory_mb"] > 10 and report["frames"] == 4
 
@@ -146,7 +147,7 @@ def test_the_paper_preset_runs(clouds, template, device: str) -> None:
 
 
 def test_what_cannot_be_used_is_refused(clouds, template) -> None:
-    with pytest.raises(DeviceError, match="--device: expected one of auto, cpu"):
+    with pytest.raises(DeviceError, match="--device: expected .*cuda:99"):
         warpdef.reconstruct(clouds, quick(), device="cuda:99", template=template)
     with pytest.raises(InputError, match="at least 2"):
         warpdef.reconstruct(clouds, quick(frames="0:1"), device="cpu", template=template)

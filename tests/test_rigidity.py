@@ -32,8 +32,9 @@ class Mesh:
         places = [total if c is None else c for c in cuts]
         return [(a, b - a) for a, b in zip(places[:-1], places[1:], strict=True)]
 
-    def fit(self, x: np.ndarray, y: np.ndarray, cuts=WHOLE) -> np.ndarray:
-        moving, rest, out = self.put(x), self.put(y), self.put(np.full((*x.shape, 3), np.nan), wp.mat33)
+    def fit(self, x: np.ndarray, y: np.ndarray, cuts=WHOLE, start: np.ndarray | None = None) -> np.ndarray:
+        start = np.full((*x.shape, 3), np.nan) if start is None else start
+        moving, rest, out = self.put(x), self.put(y), self.put(start, wp.mat33)
         for begin, count in self.spans(cuts, len(x) * self.count):
             fit_rotations(begin, count, self.row, self.column, rest, moving, out)
         return out.numpy().astype(np.float64)
@@ -101,6 +102,21 @@ def test_rotations_match_the_twin(mesh: Mesh, state) -> None:
     found = mesh.fit(x, y)
     assert_rotations(found)
     np.testing.assert_allclose(found, twin.fit_rotations(x, y, mesh.edges), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("off", [0.0, 0.05, 0.5, 2.0, np.pi, np.nan, "zero", "mirror"])
+def test_rotations_do_not_depend_on_where_they_are_looked_for(mesh: Mesh, state, rng, off) -> None:
+    """From any rotation, and from what is none."""
+    x, y, _ = state
+    expected = twin.fit_rotations(x, y, mesh.edges)
+    if isinstance(off, str):
+        start = np.zeros_like(expected) if off == "zero" else -expected
+    else:
+        by = synthetic.turn_about(rng.normal(size=3), off) if np.isfinite(off) else np.full((3, 3), np.nan)
+        start = expected @ by
+    found = mesh.fit(x, y, start=start)
+    assert_rotations(found)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
 
 
 def test_no_rotation_nearby_is_better(mesh: Mesh, state, rng: np.random.Generator) -> None:

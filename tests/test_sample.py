@@ -9,7 +9,7 @@ import pytest
 from present import present
 
 from warpdef.errors import InputError
-from warpdef.geometry.sampling import sample_surface
+from warpdef.geometry.sampling import sample_surface, spread_evenly
 from warpdef.mesh import MeshSequence, TriMesh
 from warpdef.truth.sample import sample_sequence
 
@@ -124,3 +124,17 @@ def test_a_frame_without_area_is_named() -> None:
 def test_one_frame_is_refused() -> None:
     with pytest.raises(InputError, match="at least 2 frames"):
         sample_sequence([cube()], 20)
+
+
+def test_points_are_spread_evenly_whatever_their_density(rng: np.random.Generator) -> None:
+    """A square, one half of which has 20 times the points of the other."""
+    dense, sparse = rng.random((20000, 2)) * [0.5, 1.0], rng.random((1000, 2)) * [0.5, 1.0] + [0.5, 0.0]
+    points = np.column_stack([np.concatenate([dense, sparse]), np.zeros(21000)])
+    chosen = spread_evenly(points, 500)
+    assert 400 <= len(chosen) <= 500 and len(np.unique(chosen)) == len(chosen)
+    np.testing.assert_array_equal(chosen, np.sort(chosen))
+    np.testing.assert_array_equal(chosen, spread_evenly(points, 500))
+    share = (points[chosen, 0] < 0.5).mean()
+    assert 0.4 < share < 0.6
+    np.testing.assert_array_equal(spread_evenly(points[:10], 10), np.arange(10))
+    assert len(spread_evenly(np.zeros((50, 3)), 10)) >= 1

@@ -198,7 +198,8 @@ def _report(
         stages["refine"] = refinement.solves
         warnings += refinement.solves.warning("refine.iterations_max")
         recovered, followed = (
-            [sequence.numbers[t] for t in found] for found in (refinement.frames_recovered, run.followed)
+            [sequence.numbers[t] for t in found]
+            for found in (sorted({*refinement.frames_recovered, *run.bent}), run.followed)
         )
         vertex_stage = {**refinement.as_dict(), "frames_recovered": recovered, "frames_followed": followed}
     return {

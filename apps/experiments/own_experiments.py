@@ -10,6 +10,7 @@ from warpdef.apps.experiments.run import Run, to_and_fro, value_of
 
 IDEAS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("tangential damping", {"loss.tangential": 1.0}),
+    ("mesh that follows its guide", {"optimiser.chain": True, "optimiser.iterations": 300, "optimiser.points": 0}),
     ("vertex stage", {"refine.iterations": 0}),
     ("shared rest shape", {"refine.shape_step": 0.0}),
     ("lost limbs found again", {"refine.recover": False}),

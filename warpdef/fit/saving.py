@@ -38,6 +38,7 @@ _FACTS = {
     "steps": list[dict[str, float]],
     "warnings": list[str],
     "followed": list[int],
+    "bent": list[int],
     "solves": list[SolveReport],
 }
 
