@@ -217,7 +217,7 @@ class Refinement:
         Rotations are looked for from those of a neighbour, already settled.
         """
         o, count = self.objective, self.problem.vertex_count
-        wp.copy(self._rotation[frame], self._rotation[neighbour])
+        wp.copy(frame_of(self._rotation, frame), frame_of(self._rotation, neighbour))
         if self._expected is not None:
             # What is not seen goes with its neighbour's step.
             copy_vectors(frame_of(o.vertices, frame), frame_of(self._expected, frame))

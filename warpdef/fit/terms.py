@@ -94,13 +94,13 @@ class InputTerm:
         self._robust = (config.robust_alpha, config.robust_power, config.tangential)
         self._shares = _shares(p, p.moved_sizes), _shares(p, sample.sizes[ends.target])
         searches, self._sides = self.correspondences, (BOTH_SIDES, BOTH_SIDES)
-        if one_sided(p):
+        if not p.measures.complete.all():
             # Fewer points on the same surface stand farther apart.
             spacing = p.measures.spacing * np.sqrt(p.cloud_sizes / sample.sizes)
             reach = _REACH_CLOUDS * (spacing[ends.source] + spacing[ends.target])
             self._sides = (
-                (searches.back.index, _one_sided(p, reach, ends.target)),
-                (searches.forth.index, _one_sided(p, reach, ends.source)),
+                (searches.back.index, _one_sided(p, reach, ends.target, np.inf)),
+                (searches.forth.index, _one_sided(p, reach, ends.source, np.inf)),
             )
 
     def run(self, first: int, last: int) -> None:
@@ -155,9 +155,9 @@ class TransformTerm:
         self._shares = _shares(p, sizes), _shares(p, p.cloud_sizes)
         measures = p.measures
         self.sides = BOTH_SIDES
-        if one_sided(p):
+        if not measures.complete.all() or np.isfinite(_whole(p)):
             reach = _REACH_SPACINGS * measures.spacing + _REACH_EDGES * p.edge_length
-            self.sides = self.correspondences.back.index, _one_sided(p, reach, np.arange(frames))
+            self.sides = self.correspondences.back.index, _one_sided(p, reach, np.arange(frames), _whole(p))
 
     def moved(self, first: int, last: int) -> None:
         """Nothing."""
@@ -236,16 +236,16 @@ def _shares(p: Problem, sizes: np.ndarray) -> wp.array:
     return p.numbers(1.0 / sizes if p.config.loss.reduction == "mean" else np.ones(len(sizes)))
 
 
-def one_sided(p: Problem) -> bool:
-    """Whether pairs are weighed by the way back: always but in the paper's descent, and there where a frame is partial.
+def _whole(p: Problem) -> float:
+    """How much farther vertices reach in frames that seem to show all; without end in the paper's descent.
 
-    What a frame shows is known vertex by vertex, not frame by frame: even whole bodies hide their folds.
+    What a frame shows is known vertex by vertex, not frame by frame: even whole bodies hide their folds. Clouds that
+    meet clouds have no such bound: a fast step would be out of reach.
     """
-    return not (p.config.optimiser.chain and bool(p.measures.complete.all()))
+    return np.inf if p.config.optimiser.chain else _WHOLE
 
 
-def _one_sided(p: Problem, reach: np.ndarray, answered_by: np.ndarray) -> wp.array:
-    """Reach by slot, farther where the answering frame seems to show all of the surface; in the paper's descent there
-    infinite, so that every pair counts."""
-    whole = np.inf if p.config.optimiser.chain else _WHOLE
+def _one_sided(p: Problem, reach: np.ndarray, answered_by: np.ndarray, whole: float) -> wp.array:
+    """Reach by slot, ``whole`` times as far where the answering frame seems to show all of the surface; infinite where
+    every pair counts."""
     return p.numbers(np.where(p.measures.complete[answered_by], whole, 1.0) * reach)
