@@ -39,7 +39,7 @@ def test_elsewhere_with_a_warning(variables: dict[str, str], tmp_path: Path, mon
         ensure_cache()
     (warning,) = cache_warnings()
     assert str(tmp_path / "file") in warning and "set WARP_CACHE_PATH" in warning and warning in caplog.text
-    assert os.access(wp.config.kernel_cache_dir, os.W_OK)
+    assert os.access(str(wp.config.kernel_cache_dir), os.W_OK)
 
 
 def test_a_full_disk_and_what_it_holds_already(tmp_path: Path, monkeypatch) -> None:
@@ -52,7 +52,7 @@ def test_a_full_disk_and_what_it_holds_already(tmp_path: Path, monkeypatch) -> N
     monkeypatch.setattr(Path, "write_bytes", full)
     ensure_cache()
     assert "No space left on device" in cache_warnings()[0]
-    found = Path(wp.config.kernel_cache_dir) / wp.config.version / "a module"
+    found = Path(str(wp.config.kernel_cache_dir)) / wp.config.version / "a module"
     assert found.is_symlink() and found.resolve() == tmp_path / wp.config.version / "a module"
 
 
