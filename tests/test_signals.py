@@ -26,12 +26,12 @@ CODES = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
 @pytest.fixture(autouse=True)
 def handlers() -> Iterator[None]:
     """As a shell starts a program; put back afterwards."""
-    before = {n: signal.getsignal(n) for n in (signal.SIGTERM, signal.SIGHUP)}
-    for n in before:
-        signal.signal(n, signal.SIG_DFL)
+    # A shell lets jobs in the background ignore Ctrl-C, these tests perhaps among them.
+    fresh = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
+    before = {n: signal.signal(n, handler) for n, handler in fresh.items()}
     yield
     for n, handler in before.items():
-        assert signal.getsignal(n) == signal.SIG_DFL, "a handler was left behind"
+        assert signal.getsignal(n) == fresh[n], "a handler was left behind"
         signal.signal(n, handler)
 
 
