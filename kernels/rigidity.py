@@ -3,9 +3,9 @@
     E = sum_t sum_(i,j) | (x_i,t - x_j,t) - (R_i,t + R_j,t)/2 (y_i - y_j) |^2
 
 over the edges of the mesh, with x the vertices of frame t, y one rest shape for all frames, R rotations. Each of the
-three unknowns has its own step: ``fit_rotations`` is the best R for x and y (by Newton's method from the
-last, else by singular values); ``rigid_pull`` is
-minus half the gradient to x; ``rest_pull`` is minus half the gradient to y, at y = 0, over the number of frames.
+three unknowns has its own step: ``fit_rotations`` is the best R for x and y (by Newton's method from the last one, else
+by singular values); ``rigid_pull`` is minus half the gradient to x; ``rest_pull`` is minus half the gradient to y, at
+y = 0, over the number of frames.
 """
 
 from __future__ import annotations

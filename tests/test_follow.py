@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import synthetic
 from descent import chained
+from leg_samples import DEGREE, body, cloud_of
 
 from warpdef.config import Config
-from warpdef.device import find_device
+from warpdef.device import Way, find_device, going
 from warpdef.fit.follow import follow
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
@@ -70,24 +71,29 @@ def test_a_lost_chain_is_followed_outwards(oriented):
     assert (error[[0, -1]] < 0.6 * stood[[0, -1]]).all()
 
 
-def test_two_threads_give_the_same_bits():
+@pytest.mark.parametrize("chain", [True, False])
+def test_two_threads_give_the_same_bits(chain: bool) -> None:
     found = []
     for threads in (1, 2):
         with closing(Team(threads)) as team:
-            optimiser, refinement = lost_chain(team)
+            optimiser, refinement = lost_chain(team, oriented=chain, chain=chain)
             follow(optimiser.objective, refinement, threads)
             found.append(optimiser.objective.vertices.numpy().copy())
     np.testing.assert_array_equal(*found)
 
 
-def test_told_to_stop_it_leaves_the_rest_alone():
+@pytest.mark.parametrize("chain", [True, False])
+def test_told_to_stop_it_leaves_the_rest_alone(chain: bool) -> None:
     with closing(Team(1)) as team:
-        optimiser, refinement = lost_chain(team)
+        optimiser, refinement = lost_chain(team, chain=chain)
         before = optimiser.objective.vertices.numpy().copy()
         assert follow(optimiser.objective, refinement, stopped=lambda: "interrupted") == ([], [])
         np.testing.assert_array_equal(optimiser.objective.vertices.numpy(), before)
         asked = iter([False, False, True, True])
-        assert len(follow(optimiser.objective, refinement, stopped=lambda: next(asked))[0]) == 2
+        fitted, _ = follow(optimiser.objective, refinement, stopped=lambda: next(asked))
+        assert len(fitted) == 2
+        left = [t for t in range(FRAMES) if t not in fitted]
+        np.testing.assert_array_equal(optimiser.objective.vertices.numpy()[left], before[left])
 
 
 def test_frames_that_are_covered_stay_bit_for_bit():
@@ -112,11 +118,71 @@ def test_without_a_chain_every_frame_is_followed(oriented: bool) -> None:
     assert np.array(uncovered(optimiser)).max() < 0.02
 
 
-def test_a_guide_moves_no_vertex_and_leaves_the_template() -> None:
+@pytest.mark.parametrize("recover", [True, False])
+def test_a_limb_lost_on_the_way_is_bent_back_and_named(recover: bool) -> None:
+    """The first leg comes to where the second was, and stays; the grids know nothing of it."""
+    poses = [body((0.0, 0.0))[0], *[body((-24 * DEGREE, -26 * DEGREE))[0]] * 2]
+    faces = body((0.0, 0.0))[1]
+    clouds = [cloud_of(v, faces, seed) for seed, v in enumerate(poses)]
+    config = replace(Config(), grid=GRID, refine=replace(Config().refine, recover=recover))
+    problem = Problem(
+        [c.points for c in clouds], [c.normals for c in clouds], poses[0], faces, 0, config, find_device("cpu")
+    )
     with closing(Team(1)) as team:
-        optimiser, _ = lost_chain(team, chain=False)
+        optimiser = Optimiser(problem, 1, team)
+        optimiser.finish()
+        found = follow(optimiser.objective, Refinement(optimiser.objective, team))
+    surface = Surface.of(problem.faces, problem.edges.numpy())
+    vertices = optimiser.objective.vertices.numpy().astype(np.float64)
+    left = [Matches(cloud, surface).uncovered(v) for cloud, v in zip(clouds, vertices, strict=True)]
+    if recover:
+        # The frame behind it starts from what was found.
+        assert found == ([1, 2], [1]) and max(left) < 0.02
+        error = np.linalg.norm(optimiser.objective.placed_vertices() - np.stack(poses), axis=2).mean(axis=1)
+        assert error.max() < 0.05 * np.linalg.norm(poses[1] - poses[0], axis=1).max()
+    else:
+        assert found == ([1, 2], []) and left[1] > 0.05
+
+
+GUIDES = {"exact": {}, "pruned": {"grid": {"prune": True}}, "some points": {"optimiser": {"points": 200}}}
+
+
+@pytest.mark.parametrize("way", Way)
+@pytest.mark.parametrize("groups", GUIDES.values(), ids=GUIDES)
+def test_a_guide_moves_no_vertex_and_leaves_the_template(groups: dict, way: Way) -> None:
+    """Of all that an iteration keeps, what belongs to the template stays; and there is no warm-up."""
+    config = replace(Config(), grid=GRID)
+    config = replace(config, **{name: replace(getattr(config, name), **v) for name, v in groups.items()})
+    losses = []
+    with going(way), closing(Team(1)) as team:
+        problem = Problem(
+            BODY.clouds, BODY.normals, BODY.vertices[KEYFRAME], BODY.faces, KEYFRAME, config, find_device("cpu")
+        )
+        optimiser = Optimiser(problem, 12, team)
         before, shape = optimiser.objective.vertices.numpy().copy(), optimiser.shape.x.numpy().copy()
-        optimiser.iterate()
-        assert np.abs(optimiser.nodes.numpy()).max() > 0
-        np.testing.assert_array_equal(optimiser.objective.vertices.numpy(), before)
-        np.testing.assert_array_equal(optimiser.shape.x.numpy(), shape)
+        for _ in range(12):
+            optimiser.iterate()
+            losses.append(optimiser.look())
+        optimiser.finish()
+        assert optimiser.solves.stalled == 0
+    assert problem.sample.sizes.max() == (200 if groups == GUIDES["some points"] else 1500)
+    assert losses[-1]["input"] < 0.7 * losses[0]["input"] and set(losses[0]) == {"input", "total"}
+    np.testing.assert_array_equal(optimiser.shape.x.numpy(), shape)
+    np.testing.assert_array_equal(before, np.tile(shape, (FRAMES, 1, 1)))
+    assert not optimiser.shape.first_moment.numpy().any()
+
+
+def test_a_guide_has_no_warm_up_and_any_threads_give_the_same_bits() -> None:
+    found = []
+    for threads, warmup in ((1, 0), (3, 50)):
+        config = replace(Config(), grid=GRID, optimiser=replace(Config().optimiser, warmup=warmup))
+        problem = Problem(
+            BODY.clouds, BODY.normals, BODY.vertices[KEYFRAME], BODY.faces, KEYFRAME, config, find_device("cpu")
+        )
+        with closing(Team(threads)) as team:
+            optimiser = Optimiser(problem, 6, team)
+            for _ in range(6):
+                optimiser.iterate()
+            found.append(optimiser.nodes.numpy().copy())
+    np.testing.assert_array_equal(*found)
+    assert np.abs(found[0]).max() > 0

@@ -42,6 +42,7 @@ class Toy:
     """A turning ellipsoid in three frames of unequal clouds, evaluated once at random nodes.
 
     partial: frames that are taken to show part of the surface. off: how far the template is moved off its cloud.
+    chain: the paper's descent, else cloud to cloud. points: of each frame that grids are then fitted to; 0: all.
     """
 
     def __init__(
@@ -52,6 +53,8 @@ class Toy:
         warmup: bool = False,
         partial: tuple = (),
         off: float = 0.0,
+        chain: bool = True,
+        points: int = 0,
         **loss,
     ) -> None:
         rng = np.random.default_rng(5)
@@ -59,7 +62,8 @@ class Toy:
         sizes = [40, 23, 31]
         clouds, normals = ([a[:n] for a, n in zip(s, sizes, strict=True)] for s in (moving.clouds, moving.normals))
         config = replace(Config(), grid=replace(Config().grid, levels=levels), loss=replace(Config().loss, **loss))
-        config = chained(config)
+        optimiser = replace(config.optimiser, points=points)
+        config = chained(config) if chain else replace(config, optimiser=optimiser)
         self.device, self.config, self.levels = device, config, reference.resolutions(1, levels)
         template = moving.vertices[keyframe] + 0.02 * rng.normal(size=moving.vertices[0].shape) + [off, 0.0, 0.0]
         self.problem = p = Problem(clouds, normals, template, moving.faces, keyframe, config, wp.get_device(device))
@@ -78,7 +82,7 @@ class Toy:
         for phase in o.phases(warmup):
             for task in phase.tasks:
                 task()
-        if not warmup:
+        if not warmup and self.config.optimiser.chain:
             for first, last in p.transition_spans():
                 o.chain.scatter(first, last)
 
@@ -103,9 +107,11 @@ class Toy:
     @property
     def scene(self) -> reference.Scene:
         p, loss = self.problem, self.config.loss
-        split = p.cloud_offsets[1:-1]
-        clouds = np.split(p.cloud.numpy().astype(np.float64), split)
-        spacing = np.array([twin_refine.spacing(c) for c in clouds])
+        split = p.sample.offsets[1:-1]
+        clouds = np.split(p.sample.points.numpy().astype(np.float64), split)
+        # Fewer points on the same surface stand farther apart, by the root of their number.
+        spacing = np.array([twin_refine.spacing(c) for c in p.by_frame(p.cloud.numpy())])
+        spacing *= np.sqrt(p.cloud_sizes / p.sample.sizes)
         ends = p.template[on_host(p.edges)]
         source, target = p.transitions.source, p.transitions.target
         between = 0.75 * (spacing[source] + spacing[target])
@@ -115,7 +121,7 @@ class Toy:
             met_reach=np.where(p.measures.complete[source], np.inf, between),
             vertex_reach=np.where(p.measures.complete, np.inf, vertex_reach),
             clouds=clouds,
-            normals=np.split(p.normals.numpy().astype(np.float64), split),
+            normals=np.split(p.sample.normals.numpy().astype(np.float64), split),
             edges=p.edges.numpy(),
             levels=self.levels,
             keyframe=p.transitions.keyframe,
@@ -132,13 +138,14 @@ class Toy:
     def pairs(self) -> tuple[list[reference.Pairs], list[reference.Pairs]]:
         """The kernel's neighbours: of moved clouds, of vertices."""
         p, o, count = self.problem, self.objective, self.problem.vertex_count
-        first, moved_offsets = p.cloud_offsets, p.moved_offsets
+        first, moved_offsets = p.sample.offsets, p.moved_offsets
         forth, back = o.input.correspondences.forth.index.numpy(), o.input.correspondences.back.index.numpy()
         moved = []
         for s, t in enumerate(p.transitions.target):
             there, here = slice(*moved_offsets[s : s + 2]), slice(*first[t : t + 2])
             moved.append(reference.Pairs(forth[there] - first[t], back[here] - moved_offsets[s]))
         forth, back = o.transform.correspondences.forth.index.numpy(), o.transform.correspondences.back.index.numpy()
+        first = p.cloud_offsets
         met = [
             reference.Pairs(forth[t * count : (t + 1) * count] - first[t], back[first[t] : first[t + 1]] - t * count)
             for t in range(p.frame_count)
@@ -359,6 +366,50 @@ def test_normals_unknown_is_the_plain_distance(device: str) -> None:
     toy.problem = without
     toy.evaluate(toy.nodes)
     np.testing.assert_allclose(toy.objective.input.loss.numpy(), expected, rtol=1e-5)
+
+
+# Without a chain: cloud to cloud alone.
+
+
+@pytest.mark.parametrize("points", [0, 20], ids=["all points", "some points"])
+@pytest.mark.parametrize("partial", [(), (0,), (0, 1, 2)])
+def test_cloud_to_cloud_alone_matches_the_twin(partial: tuple, points: int, device: str) -> None:
+    """Loss and gradient; the vertices and what is compared with them have no say and stay as they were."""
+    toy = Toy(device, partial=partial, chain=False, points=points)
+    p, o, scene, (pairs, _) = toy.problem, toy.objective, toy.scene, toy.pairs()
+    assert p.sample.sizes.tolist() == ([20, 20, 20] if points else [40, 23, 31])
+
+    def values(nodes: np.ndarray, weights: tuple) -> list:
+        found = []
+        for s in range(2):
+            source, target = scene.ends(s)
+            moving = reference.move(nodes[s], scene.levels, scene.clouds[source])
+            found.append(reference.chamfer(scene, moving, target, pairs[s], weights[s], scene.reach_of_moved(s)))
+        return found
+
+    expected, weights = zip(*values(toy.nodes.astype(float), (None, None)), strict=True)
+    np.testing.assert_allclose(o.input.loss.numpy(), expected, rtol=1e-5)
+    mean = sum(expected) / 2
+    assert o.losses() == pytest.approx({"input": mean, "total": mean}, rel=1e-5)
+    slopes = finite_differences(lambda n: sum(v for v, _ in values(n, weights)) / 2, toy.nodes, step=1e-5)
+    assert_gradients_close(toy.adj_nodes, slopes, elementwise=2e-4, relative=2e-4)
+    np.testing.assert_array_equal(o.vertices.numpy(), np.tile(toy.template.astype(np.float32), (3, 1, 1)))
+    assert not o.transform.loss.numpy().any() and not o.sums.weighed.numpy().any()
+
+
+def test_clouds_seen_in_part_count_less_in_a_guide(device: str) -> None:
+    full, partial = (Toy(device, chain=False, partial=p).objective.input.loss.numpy() for p in ((), (0, 1, 2)))
+    assert (partial < full).all()
+
+
+def test_vertices_are_fitted_to_all_points_whatever_grids_are_fitted_to(device: str) -> None:
+    p = Toy(device, chain=False, points=20).problem
+    assert p.clouds.sizes.tolist() == p.cloud_sizes.tolist() == [40, 23, 31] and len(p.cloud) == 94
+    chosen, normals = (np.split(a.numpy(), p.sample.offsets[1:-1]) for a in (p.sample.points, p.sample.normals))
+    for t, (cloud, sides) in enumerate(zip(p.by_frame(p.cloud.numpy()), p.by_frame(p.normals.numpy()), strict=True)):
+        where = (chosen[t][:, None] == cloud.astype(np.float32)).all(axis=2)
+        assert (where.sum(axis=1) == 1).all() and len(set(where.argmax(axis=1))) == 20
+        np.testing.assert_array_equal(normals[t], sides[where.argmax(axis=1)].astype(np.float32))
 
 
 def _faces() -> np.ndarray:

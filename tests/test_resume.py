@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
+from descent import chained
 
 import warpdef
 from warpdef.config import Config
@@ -86,7 +87,11 @@ SOLVERS = {
     "cosine": quick(),
     "pruned, conjugate gradients": quick(grid={"prune": True}, sobolev={"solver": "cg"}),
     "paper": replace(quick(preset("paper")), refine=replace(Config().refine, iterations=0)),
-    "template follows all": quick(loss={"template_follows_all": True}, optimiser={"template_rate": 1e-3}),
+    "chain": chained(quick()),
+    "template follows all": chained(
+        quick(loss={"template_follows_all": True}, optimiser={"template_rate": 1e-3}),
+    ),
+    "some points": quick(optimiser={"points": 100}),
 }
 
 

@@ -136,5 +136,28 @@ def test_points_are_spread_evenly_whatever_their_density(rng: np.random.Generato
     np.testing.assert_array_equal(chosen, spread_evenly(points, 500))
     share = (points[chosen, 0] < 0.5).mean()
     assert 0.4 < share < 0.6
+    nearest = np.sort(np.linalg.norm(points[chosen, None, :2] - points[chosen, :2], axis=2), axis=1)[:, 1]
+    # On a square 500 points stand 1 / sqrt(500) apart; drawn by chance from all, a fifth are five times as close.
+    assert nearest.mean() > 0.5 / np.sqrt(500)
     np.testing.assert_array_equal(spread_evenly(points[:10], 10), np.arange(10))
     assert len(spread_evenly(np.zeros((50, 3)), 10)) >= 1
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 99])
+@pytest.mark.parametrize("shape", ["surface", "line", "point", "far away", "huge", "tiny", "one stray"])
+def test_as_many_points_as_asked_for_at_most(shape: str, count: int, rng: np.random.Generator) -> None:
+    points = rng.random((300, 3)) * [1.0, 1.0, 0.0]
+    points = {
+        "surface": points,
+        "line": points * [1.0, 0.0, 0.0],
+        "point": points * 0.0,
+        "far away": points + 1e6,
+        "huge": points * 1e8,
+        "tiny": points * 1e-12,
+        "one stray": np.concatenate([points, [[1e4, 0.0, 0.0]]]),
+    }[shape]
+    chosen = spread_evenly(points, count)
+    assert 1 <= len(chosen) <= count and len(np.unique(chosen)) == len(chosen)
+    assert chosen.min() >= 0 and chosen.max() < len(points)
+    if count == 99 and shape in ("surface", "far away", "huge", "tiny"):  # fewer voxels than that cannot be told apart
+        assert len(chosen) >= 0.7 * count

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import synthetic
 import warp as wp
+from descent import chained
 
 import warpdef
 from warpdef.config import Config
@@ -63,7 +64,7 @@ def turning(rng: np.random.Generator) -> synthetic.Synthetic:
     return replace(moving, clouds=clouds, normals=normals)
 
 
-def fit(moving: synthetic.Synthetic, way: Way) -> tuple[np.ndarray, dict]:
+def fit(moving: synthetic.Synthetic, way: Way, chain: bool) -> tuple[np.ndarray, dict]:
     """Vertices of all frames, and the report."""
     base = Config()
     config = replace(
@@ -77,6 +78,7 @@ def fit(moving: synthetic.Synthetic, way: Way) -> tuple[np.ndarray, dict]:
         optimiser=replace(base.optimiser, iterations=30, warmup=8, epsilon=1e-2),
         refine=replace(base.refine, tolerance=1e-6, iterations=6),
     )
+    config = chained(config) if chain else config
     template = warpdef.TriMesh(moving.vertices[2], moving.faces)
     sequence = warpdef.PointSequence.from_arrays(moving.clouds, moving.normals)
     with going(way):
@@ -84,17 +86,18 @@ def fit(moving: synthetic.Synthetic, way: Way) -> tuple[np.ndarray, dict]:
     return result.vertices.astype(np.float64), result.report
 
 
-def test_both_ways_through_the_whole_pipeline_agree() -> None:
+@pytest.mark.parametrize("chain", [False, True])
+def test_both_ways_through_the_whole_pipeline_agree(chain: bool) -> None:
     """As far as float32 says: no further apart than what rounding the input anew, a few times, does to the result."""
     moving = turning(np.random.default_rng(0))
-    (by_spans, report), (whole, _) = (fit(moving, way) for way in (Way.SPANS, Way.WHOLE))
+    (by_spans, report), (whole, _) = (fit(moving, way, chain) for way in (Way.SPANS, Way.WHOLE))
     assert report["refine"]["frames_partial"] == 1
     assert not np.array_equal(whole, by_spans)  # it did go another way
     rounded = []
     for seed in range(4):
         rng = np.random.default_rng(seed)
         clouds = [c * (1 + rng.uniform(-1, 1, c.shape) * np.finfo(np.float32).eps) for c in moving.clouds]
-        rounded.append(np.abs(fit(replace(moving, clouds=clouds), Way.SPANS)[0] - by_spans))
+        rounded.append(np.abs(fit(replace(moving, clouds=clouds), Way.SPANS, chain)[0] - by_spans))
     apart = np.abs(whole - by_spans)
     assert apart.mean() < 3 * max(r.mean() for r in rounded)
     assert apart.max() < 3 * max(r.max() for r in rounded)
