@@ -12,7 +12,7 @@ from experiment_samples import Named, known_data
 from warpdef.apps.config_flags import entries
 from warpdef.apps.experiment import NAMES, _builder
 from warpdef.apps.experiments.code_version import digest
-from warpdef.apps.experiments.own_experiments import IDEAS
+from warpdef.apps.experiments.own_experiments import IDEAS, OF_THE_DESCENT
 from warpdef.apps.experiments.plan import Plan, PlanSize, benchmark
 from warpdef.apps.experiments.published import ABOVE_FLOOR, PUBLISHED, WORST_FRAME
 from warpdef.apps.experiments.run import TRUTH_TEMPLATE, frame_text, to_and_fro, value_of, with_values
@@ -72,7 +72,11 @@ def test_accuracy_says_when_no_sequence_is_long_enough() -> None:
 
 def test_components_switch_what_they_name(tmp_path: Path) -> None:
     configs = {s.name: s.runs[0].config for s in built("components", known_data(tmp_path)).settings}
-    assert len(configs) == 8 and configs["P M I"] == Config()
+    assert len(configs) == 8 and len(set(configs.values())) == 8
+    assert all(c.optimiser.chain and not c.optimiser.points for c in configs.values()), "else isometry has no say"
+    whole = Config().optimiser
+    assert configs["P M I"].optimiser == replace(whole, chain=True, points=0, iterations=3 * whole.iterations)
+    assert replace(configs["P M I"], optimiser=whole) == Config()
     for name, config in configs.items():
         assert config.sobolev.enabled == ("P" in name)
         assert (config.grid.coarsest == 1) == ("M" in name) and config.grid.levels == 10
@@ -108,6 +112,24 @@ def test_every_idea_can_be_switched_off_and_changes_something(tmp_path: Path) ->
     assert [s.name for s in table.settings] == ["all on", *(f"without {name}" for name, _ in IDEAS)]
     assert len({s.runs[0].config for s in table.settings}) == len(table.settings)
     assert all([run.noise for run in s.runs] == [0, 0, 0, 0, 0.005] for s in table.settings)
+
+
+def test_ideas_of_the_descent_are_switched_off_in_it(tmp_path: Path) -> None:
+    """Where nothing but the input term acts, a row that switches isometry off would be the row with all on."""
+    configs = {s.name: s.runs[0].config for s in built("ideas", known_data(tmp_path)).settings}
+    assert {name.removeprefix("without ") for name, c in configs.items() if c.optimiser.chain} == set(OF_THE_DESCENT)
+    chain = configs["without mesh that follows its guide"]
+    assert configs["without isometry"] == with_values(chain, {"loss.isometry_weight": 0.0})
+    assert chain.optimiser.for_length(80) != with_values(chain, {"optimiser.rate_fall": 0.0}).optimiser.for_length(80)
+
+
+def test_in_the_papers_descent_there_is_no_guide_to_switch_off() -> None:
+    paper = preset("paper")
+    table = built("ideas", Plan((Named("a"),), paper))
+    assert "mesh that follows its guide: off already in this configuration." in table.notes
+    assert {s.runs[0].config.optimiser.iterations for s in table.settings} == {paper.optimiser.iterations}
+    configs = {s.name: s.runs[0].config for s in built("components", Plan((Named("a"),), paper)).settings}
+    assert configs["P M I"] == paper
 
 
 def test_everything_beyond_the_paper_is_an_idea_that_can_be_switched_off() -> None:

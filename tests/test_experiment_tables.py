@@ -189,6 +189,16 @@ def test_what_an_idea_is_worth_is_told_by_sequence() -> None:
     assert said[0].endswith("CD times one 2.00 (tracking 1.00), one, noise 0.5 % 2.00 (tracking 1.00).")
 
 
+def test_an_idea_of_the_descent_is_judged_beside_the_descent() -> None:
+    table = built("ideas", Plan((Named("one"),)))
+    errors = {"all on": 1e-5, "without mesh that follows its guide": 4e-5, "without isometry": 6e-5}
+    found = {run.key: made_up(run, errors.get(s.name, 2e-5)) for s in table.settings for run in s.runs}
+    said = {line.split(":")[0]: line for line in verdicts(table, found)}
+    assert "CD times one 4.00" in said["without mesh that follows its guide"]
+    assert "CD times one 1.50" in said["without isometry, beside without mesh that follows its guide"]
+    assert "CD times one 2.00" in said["without vertex stage"]
+
+
 def test_initialization_compares_keyframes() -> None:
     table = built("initialization")
     said = verdicts(table, results(table, **{"first,_poisson": 2.0, "auto,_poisson": 3.0}))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import product
 
-from warpdef.apps.experiments.plan import Experiment, Plan, Setting, settings
+from warpdef.apps.experiments.plan import Experiment, Plan, Setting, descent, settings
 from warpdef.apps.experiments.run import TRUTH_TEMPLATE, TruthSource
 from warpdef.errors import InputError
 
@@ -64,11 +64,14 @@ def components(plan: Plan) -> Experiment:
     for p, m, i in product((False, True), repeat=3):
         name = " ".join(letter if on else "-" for letter, on in zip("PMI", (p, m, i), strict=True))
         # Without multi-resolution only the finest level is used; without P the rate falls to a tenth (the library's).
-        off = {} if p else {"sobolev.enabled": False}
+        off = descent(plan.config)
+        off |= {} if p else {"sobolev.enabled": False}
         off |= {} if m else {"grid.coarsest": plan.config.grid.levels}
         off |= {} if i else {"loss.isometry_weight": 0.0}
         rows.append((name, None, off))
     notes = ["P: Sobolev preconditioning; M: all grid levels, else the finest only; I: isometry loss."]
+    if descent(plan.config):
+        notes.append("All rows are of the paper's descent: grids that only guide the mesh know no isometry.")
     if plan.config.refine.iterations:
         notes.append(
             "The vertex stage after the grids is on, which the paper does not have; it has a rigidity of its own. "

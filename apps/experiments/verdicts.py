@@ -172,9 +172,10 @@ def _checks(setting: Setting, result: dict[str, Any]) -> Any:
 
 def _ideas(experiment: Experiment, results: Results) -> list[str]:
     values, tracking = measure(experiment, results), measure(experiment, results, "tracking")
-    on = experiment.settings[0].name
     said = []
     for setting in experiment.settings[1:]:
+        base = _beside(experiment, setting)
+        on = base.name
         cases = sorted(set(values[on]) & set(values[setting.name]))
         if cases:
             told = []
@@ -183,8 +184,16 @@ def _ideas(experiment: Experiment, results: Results) -> list[str]:
                 if case in tracking[on] and case in tracking[setting.name]:
                     text += f" (tracking {tracking[setting.name][case] / tracking[on][case]:.2f})"
                 told.append(text)
-            said.append(f"{setting.name}: CD times {', '.join(told)}.")
+            beside = "" if base is experiment.settings[0] else f", beside {on}"
+            said.append(f"{setting.name}{beside}: CD times {', '.join(told)}.")
     return said
+
+
+def _beside(experiment: Experiment, setting: Setting) -> Setting:
+    """What a row of ideas is judged by: the first one, or where it is of the other kind of fit, that kind's first."""
+    kinds = {id(s): s.runs[0].config.optimiser.chain for s in experiment.settings}
+    first = next(s for s in experiment.settings if kinds[id(s)] == kinds[id(setting)])
+    return experiment.settings[0] if first is setting else first
 
 
 def _long(experiment: Experiment, results: Results) -> list[str]:
