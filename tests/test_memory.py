@@ -66,6 +66,25 @@ def test_the_estimate_is_what_is_allocated(base: str, frames: int, points: int, 
     assert dict(problem.pool.bytes) == pooled_bytes([points] * frames, problem.vertex_count, config)
 
 
+def test_points_that_grids_are_not_fitted_to_cost_no_more_than_estimated() -> None:
+    """The estimate takes all points for fitted; what is laid out for fewer stays below it."""
+    config = replace(Config(), grid=replace(Config().grid, levels=4))
+    config = replace(config, optimiser=replace(config.optimiser, points=2900))
+    moving = synthetic.turning_ellipsoid(8, 3000, np.random.default_rng(0), 4)
+    before = allocated()
+    problem = Problem(moving.clouds, moving.normals, moving.vertices[1], moving.faces, 1, config, CPU)
+    optimiser = Optimiser(problem, 10, Team(1))
+    optimiser.keep()
+    refinement = Refinement(optimiser.objective, Team(1))
+    state = {name: wp.clone(a) for name, a in refinement.state().items()}
+    found = allocated() - before
+    estimate = estimate_memory([3000] * 8, problem.vertex_count, config)
+    assert problem.sample.sizes.max() <= 2900 and state
+    assert 0.75 * found < estimate.device < 1.4 * found, (found, estimate)
+    counted = pooled_bytes([3000] * 8, problem.vertex_count, config)
+    assert all(0 < problem.pool.bytes[owner] <= counted[owner] for owner in counted)
+
+
 def test_what_the_pool_hands_out_is_at_most_what_was_counted() -> None:
     """Clouds of unequal sizes: which of them are moved is not known before the keyframe is."""
     sizes, moving = [300, 120, 250, 400], synthetic.turning_ellipsoid(4, 400, np.random.default_rng(0), 1)
