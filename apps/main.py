@@ -15,6 +15,7 @@ from cyclopts import App
 
 from warpdef import __version__
 from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_OK
+from warpdef.apps.help_pages import ALL, COMMON, EXAMPLES, HELP, CommonFlags, asks_for_help
 from warpdef.apps.signals import Ended, ending_signals, exit_code
 from warpdef.apps.streams import guarded_streams, open_missing_descriptors
 from warpdef.errors import WarpdefError
@@ -33,44 +34,34 @@ COMMANDS = {
 }
 """Name and summary; ``name`` is the function ``name`` of ``warpdef.apps.name``."""
 
-EXAMPLES = {
-    "": ("warpdef demo", "warpdef reconstruct scans/ -o out"),
-    "demo": ("warpdef demo", "warpdef demo --output out --frames 9"),
-    "reconstruct": (
-        "warpdef reconstruct scans/ -o out",
-        "warpdef reconstruct scans/ -o out --frames 0:20 --keyframe middle",
-    ),
-    "evaluate": ("warpdef evaluate out", "warpdef evaluate out truth.npz --per-frame"),
-    "sample": ("warpdef sample truth/ -o clouds.npz", "warpdef sample truth/ -o clouds.npz --points 2000 --noise 0.01"),
-    "datasets": ("warpdef datasets check meshes/", "warpdef datasets check meshes/ --json"),
-    "experiment": (
-        "warpdef experiment main --data truths/ -o tables",
-        "warpdef experiment main --data truths/ -o tables --quick",
-    ),
-    "bench": ("warpdef bench --quick", "warpdef bench --json here.json --compare there.json"),
-    "export": ("warpdef export out motion.glb", "warpdef export out motion.usdc --up z --fps 30"),
-    "deform": ("warpdef deform out dense.obj -o dense.glb", "warpdef deform out dense.obj -o dense.usdc --fps 30"),
-    "view": ("warpdef view out", "warpdef view out --color error --screenshot error.png --azimuth 90"),
-}
-"""Two lines that a command's help begins with, by its name; the empty name is the program itself."""
-
 ANSWERING = ("evaluate", "datasets")
 """Commands whose answer is what they print."""
 
 TRACEBACK_VARIABLE = "WARPDEF_TRACEBACK"
 
 
-def build_app(called: str = "") -> App:
-    """The program with all its subcommands; ``called`` shows its own, longer help instead of its summary."""
+def build_app(called: str = "", short: bool = False) -> App:
+    """The program with all its subcommands; ``called`` shows its own, longer help instead of its summary.
+
+    ``short`` help shows of a command's flags those that people use, where it has many.
+    """
+    common = COMMON.get(called) if short else None
+    more = f"All flags: warpdef {called if called in COMMANDS else 'COMMAND'} {ALL}. "
     app = App(
         name="warpdef",
         version=__version__,
         version_flags=["--version", "-V"],
         help="From a sequence of raw point clouds to one mesh that moves.",
-        help_epilogue="Exit codes: 0 done, 2 bad input or usage, 128 and the signal's number interrupted "
+        help_flags=HELP,
+        help_formatter=None if common is None else CommonFlags(common),
+        help_epilogue=("" if called in COMMANDS and common is None else more)
+        + "Exit codes: 0 done, 2 bad input or usage, 128 and the signal's number interrupted "
         "(130 Ctrl-C, 143 SIGTERM, 129 SIGHUP). "
         f"{TRACEBACK_VARIABLE}=1 shows tracebacks.",
         suppress_keyboard_interrupt=False,
+    )
+    app.register_install_completion_command(
+        help="Let the shell (bash, zsh, fish) complete commands and flags, from its next start on."
     )
     for position, (name, summary) in enumerate(COMMANDS.items()):
         app.command(
@@ -101,9 +92,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str]) -> int:
     tracebacks = os.environ.get(TRACEBACK_VARIABLE, "") not in ("", "0")
     try:
-        app = build_app(arguments[0] if arguments else "")
-        if not arguments or "--help" in arguments or "-h" in arguments:
-            name = arguments[0] if arguments and arguments[0] in COMMANDS else ""
+        app = build_app(arguments[0] if arguments else "", short=ALL not in arguments)
+        if asks_for_help(arguments):
+            name = arguments[0] if arguments and arguments[0] not in HELP else ""
             if name in EXAMPLES:
                 print("\n".join(f"  {line}" for line in EXAMPLES[name]) + "\n")
         code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")

@@ -105,7 +105,7 @@ def flag_complaint(span: str) -> str:
 def all_flags() -> frozenset[str]:
     """The flags of all commands, as the parser lists them, with those that switch something off."""
     app = build_app()
-    found = {"--help", "--version"}
+    found = {"--help", "--help-all", "--version", "--install-completion"}
     for command in COMMANDS:
         for argument in app[command].assemble_argument_collection():
             found.update(argument.names)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpdef.apps.main import COMMANDS, EXAMPLES, build_app, run
+from warpdef.apps.help_pages import COMMON, EXAMPLES
+from warpdef.apps.main import COMMANDS, build_app, run
 
 GOOD = np.random.default_rng(0).normal(size=(4, 30, 3))
 
@@ -229,3 +231,32 @@ def test_help_begins_with_examples_that_parse(name: str, capfd) -> None:
     assert [line.strip() for line in capfd.readouterr().out.splitlines()[:2]] == list(EXAMPLES[name])
     for line in EXAMPLES[name]:
         build_app().parse_args(line.split()[1:], exit_on_error=False, print_error=False)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_shows_twenty_flags_at_most_and_help_all_every_one(command: str, capfd, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    names = {a.names for a in build_app()[command].assemble_argument_collection() if a.names[0].startswith("-")}
+    assert set(COMMON.get(command, ())) <= {name for flag in names for name in flag}, "a flag that there is not"
+    shown = {}
+    for flag in ("--help", "--help-all"):
+        assert run([command, flag]) == 0
+        rows = set(re.findall(r"^│ [ *]{0,4}(--?[\w.-]+)", capfd.readouterr().out, re.MULTILINE))
+        shown[flag] = {flags for flags in names if rows & set(flags)}
+    assert shown["--help-all"] == names
+    assert len(shown["--help"]) == min(len(names), 20)
+    if command in COMMON:
+        assert shown["--help"] == {flags for flags in names if set(flags) & set(COMMON[command])}
+
+
+def test_a_shell_completes_commands_and_flags(tmp_path: Path, capfd) -> None:
+    script = tmp_path / "completion"
+    assert run(["--install-completion", "--shell", "bash", "--output", str(script)]) == 0
+    capfd.readouterr()
+    typed = (("warpdef", "reco"), ("warpdef", "reconstruct", "in", "--refine.rec"), ("warpdef", "view", "out", "--ht"))
+    lines = [f"source {script}"]
+    for words in typed:
+        lines.append(f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}; COMPREPLY=()")
+        lines.append(f'_warpdef warpdef {words[-1]} {words[-2]}; echo "${{COMPREPLY[@]}}"')
+    done = subprocess.run(["bash", "-c", "\n".join(lines)], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines() == ["reconstruct", "--refine.recover", "--html"]

@@ -16,7 +16,7 @@ import synthetic
 from documented import ROOT, blocks, complaint, documents, flag_complaint, lines, loose_flags, spans
 
 import warpdef
-from warpdef.apps.config_table import with_table
+from warpdef.apps.config_table import with_tables
 from warpdef.apps.main import COMMANDS
 from warpdef.export import FORMATS
 from warpdef.files.cloud_files import CONTAINERS
@@ -190,9 +190,9 @@ def test_configuration_files_shown_can_be_loaded(name: str, tmp_path: Path) -> N
 
 def test_the_configuration_table_is_up_to_date() -> None:
     text = TEXTS[".github/CONFIGURATION.md"]
-    assert with_table(text) == text, "run: python -m warpdef.apps.config_table .github/CONFIGURATION.md"
+    assert with_tables(text) == text, "run: python -m warpdef.apps.config_table .github/CONFIGURATION.md"
 
 
 def test_a_document_without_the_marks_is_refused() -> None:
     with pytest.raises(ValueError, match="marks"):
-        with_table("# Configuration")
+        with_tables("# Configuration")
