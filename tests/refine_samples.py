@@ -113,9 +113,9 @@ class Run:
                 self.stage.prepare()
             self.stage.start()
             for _ in range(rounds):
-                self.stage.step()
+                self.stage.run_round()
             self.vertices = self.objective.placed_vertices()
-            self.rest = self.stage._rest.numpy()[p.place]
-            self.rotation = self.stage._rotation.numpy()[:, p.place]
+            self.rest = self.stage.shape.places.numpy()[p.place]
+            self.rotation = self.stage.rotation.numpy()[:, p.place]
         finally:
             team.close()

@@ -50,7 +50,7 @@ def test_a_guess_from_guesses_is_none(whole: list[int], held: list[int], device:
     scene = Scene.make(7, 500, rng, seen=lambda t, p: (p[:, 0] < 0) | (t in whole))
     run = Run(scene, scene.vertices, device, 1, keyframe=3)
     np.testing.assert_array_equal(np.flatnonzero(run.problem.measures.complete), whole)
-    np.testing.assert_array_equal(np.flatnonzero(run.stage._hold.numpy()), held)
+    np.testing.assert_array_equal(run.stage.unseen.frames, held)
 
 
 def test_the_shape_is_that_of_frames_that_show_all(device: str, rng: np.random.Generator) -> None:

@@ -142,9 +142,9 @@ def test_cut_short_again_and_again(tmp_path: Path) -> None:
 def test_what_searches_remember_is_only_for_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Why a checkpoint leaves the searches out: they answer exactly, whether or not they have been asked before."""
     whole = fit(quick())
-    step, round_ = Optimiser.iterate, Refinement.step
-    monkeypatch.setattr(Optimiser, "iterate", lambda self: (self.objective.forget(), step(self))[1])
-    monkeypatch.setattr(Refinement, "step", lambda self: (self.objective.forget(), round_(self))[1])
+    iterate, round_ = Optimiser.iterate, Refinement.run_round
+    monkeypatch.setattr(Optimiser, "iterate", lambda self: (self.objective.forget(), iterate(self))[1])
+    monkeypatch.setattr(Refinement, "run_round", lambda self: (self.objective.forget(), round_(self))[1])
     assert_same(fit(quick()), whole)
     assert callable(Objective.forget)
 
@@ -285,14 +285,14 @@ def test_limits() -> None:
 
 def poison(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, iteration: int, bad: float, times: int = 1) -> None:
     """Fill an array with something not finite before this iteration (or round), so many times."""
-    method = "iterate" if owner is Optimiser else "step"
-    step, left = getattr(owner, method), [times]
+    method = "iterate" if owner is Optimiser else "run_round"
+    run, left = getattr(owner, method), [times]
 
     def poisoned(self) -> None:
         if self.done == iteration and left[0]:
             left[0] -= 1
             (self._state() if owner is Optimiser else self.state())[name].fill_(bad)
-        step(self)
+        run(self)
 
     monkeypatch.setattr(owner, method, poisoned)
 

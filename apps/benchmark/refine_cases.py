@@ -199,9 +199,9 @@ def round_rows(bed: Bed, teams: Mapping[int, Team]) -> Iterator[dict]:
         stage = Refinement(o, team)
         stage.prepare()
         stage.start()
-        stage.step()  # modules load, a graph is captured
+        stage.run_round()  # modules load, a graph is captured
         clock = DeviceTimer(bed.device)
-        timing = Timing.of([clock.seconds(stage.step) for _ in range(max(stage.config.iterations - 1, 1))])
+        timing = Timing.of([clock.seconds(stage.run_round) for _ in range(max(stage.config.iterations - 1, 1))])
         elements = p.frame_count * p.vertex_count
         yield {
             "name": ROUND,

@@ -38,7 +38,7 @@ def follow(
     """
     walk = _Walk(objective, refinement, stopped)
     ends = objective.problem.transitions
-    refinement.take_shape()
+    refinement.shape.take()
     with ThreadPoolExecutor(2 if threads > 1 and objective.problem.way is Way.SPANS else 1) as pool:
         sides = list(pool.map(walk.outwards, (ends.forward, ends.backward)))
     objective.problem.normals.assign(walk.given)

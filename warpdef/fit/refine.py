@@ -6,10 +6,8 @@ moves on its own, by Gauss-Newton on
     E = sum_t sum_pairs w r^2 + rigidity sum_t sum_(i,j) | (x_i - x_j) - (R_i + R_j)/2 (y_i - y_j) |^2
 
 with symmetric point-to-plane residuals r both ways, a rotation R a vertex and frame, and one rest shape y for all
-frames. y is an unknown like the others: what one frame's points leave open, the points of all others fill in. The
-noisier the clouds (measured by how thick they are locally), the stiffer, and the less their own normals count. The
-border of an open mesh reaches for where the points end (``kernels.borders``); what a frame does not show is held by the
-frames around it (``kernels.unseen``).
+frames. y is an unknown like the others (``rest_shape``). The noisier the clouds, the stiffer. Pairs and their planes
+come from ``pairing``; what a frame does not show is held by the frames around it (``unseen``).
 
 A round is three phases: every frame pairs, solves for its moves and fits its rotations; every vertex asks the frames
 that show all of the surface for its edges, or all frames if none does; the shape is solved for. Where an incomplete
@@ -20,42 +18,24 @@ limb are fitted again (``recover``).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import warp as wp
 
-from warpdef.config import RefineConfig
-from warpdef.device import Way, frame_of, on_host
+from warpdef.device import Way, frame_of
 from warpdef.fit.objective import Objective
-from warpdef.fit.problem import span
+from warpdef.fit.pairing import Pairing, noise_of
 from warpdef.fit.recover import Cloud, recover
+from warpdef.fit.rest_shape import RestShape
 from warpdef.fit.sobolev import SolveReport, note_solve
+from warpdef.fit.unseen import Unseen
 from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.block_cg import BlockSolver
-from warpdef.kernels.borders import cloud_borders, vertex_borders
-from warpdef.kernels.cg import ConjugateGradients
-from warpdef.kernels.pairs import pairs_of
-from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
-from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
-from warpdef.kernels.unseen import expected_places, hold_unseen
-from warpdef.kernels.vectors import add_scaled, blend, copy_vectors
+from warpdef.kernels.rigidity import fit_rotations, rigid_pull
+from warpdef.kernels.vectors import add_scaled
 
-_SHAPE_TOLERANCE = 1e-4
-_SHAPE_ITERATIONS = 200
-_OPPOSED_MAX = 0.01  # share of given normals against the mesh that is taken for contact, not for flips
-_NOISE_MAX = 1.25  # rigidity grows no further
-_BORDER = 0.1  # weight of a residual across the border against one plane: a border is sampled sparsely, hence noisy
-_BORDER_GAP = 0.9  # from the border to the nearest point, in mean point spacings
-_HOLD = 0.05  # weight of the place expected of an unseen vertex against one plane
 _SETTLED = 8  # rounds after which a frame shows whether it lost a limb
-
-
-def _noise(thickness: float, config: RefineConfig) -> float:
-    """0 for clean clouds, 1 at ``noisy_thickness``, at most 1.25."""
-    above = (thickness - config.clean_thickness) / (config.noisy_thickness - config.clean_thickness)
-    return float(np.clip(above, 0.0, _NOISE_MAX))
 
 
 class Refinement:
@@ -64,82 +44,29 @@ class Refinement:
     Args:
         objective: grids fitted; its ``vertices``, shape (T, V), are the start and the result.
         team: CPU threads. capture: on CUDA, run a round as one graph.
+
+    pairing, unseen, shape: the parts of a round. rotation: of every vertex from the shape, shape (T, V) mat33.
     """
 
     def __init__(self, objective: Objective, team: Team, capture: bool = True) -> None:
         p = self.problem = objective.problem
-        self.objective, self.config = objective, p.config.refine
-        self.done = 0
-        device, frames, count = p.device, p.frame_count, p.vertex_count
-        self._row, self._column = p.integers(p.mesh.row), p.integers(p.mesh.column)
-        self._lay_faces()
-        self._normals = wp.zeros((frames, count), dtype=wp.vec3, device=device)
-        self._rotation = wp.zeros((frames, count), dtype=wp.mat33, device=device)
-        self._matrix = wp.zeros((frames, count), dtype=wp.mat33, device=device)
-        borrow = p.pool.borrower()
-        self._pull, self._move = (borrow(wp.vec3, (frames, count)) for _ in range(2))
-        self._rest = wp.clone(frame_of(objective.vertices, p.transitions.keyframe))
-        self._shape_pull, self._shape = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
-        c = self.config
-        self._solver = BlockSolver(p.mesh, frames, c.tolerance, c.iterations_max, device)
-        stiff = replace(p.mesh, weight=np.array([c.shape_smoothness], dtype=np.float32))
-        self._shape_solver = ConjugateGradients(stiff, wp.vec3, _SHAPE_TOLERANCE, _SHAPE_ITERATIONS, device)
-        self.noise = _noise(p.measures.thickness, c)
+        self.objective, c = objective, p.config.refine
+        self.config, self.done = c, 0
+        device, shape = p.device, (p.frame_count, p.vertex_count)
+        self.noise = noise_of(p.measures.thickness, c)
         self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
-        self._lay_pairs()
-        self._lay_borders()
-        self._lay_times()
-        # Where an incomplete frame shows nothing, its mesh is a guess from the shape: asked only if no frame shows all.
-        self._telling = p.integers(np.flatnonzero(p.measures.complete | ~p.measures.complete.any()))
+        self.rotation, self._matrix = (wp.zeros(shape, dtype=wp.mat33, device=device) for _ in range(2))
+        borrow = p.pool.borrower()
+        self._rhs, self._move = (borrow(wp.vec3, shape) for _ in range(2))
+        self.pairing = Pairing(objective, self.noise)
+        self.unseen = Unseen(p, objective.vertices, self.rotation)
+        self.shape = RestShape(p, objective.vertices, self.rotation)
+        self._edges = p.integers(p.mesh.row), p.integers(p.mesh.column)
+        self._solver = BlockSolver(p.mesh, p.frame_count, c.tolerance, c.iterations_max, device)
         self.solves = SolveReport("block cg")
-        # Whether a frame's normals were given sides by the mesh; this and the next belong to the state: on the device.
-        self._doubtful = p.integers(~p.oriented)
-        self._given_normals = p.normals.numpy().copy()
-        # By frame: 1 fitted again, 2 lost all the same.
-        self._fate = p.integers(np.zeros(frames))
+        # By frame: 1 fitted again, 2 lost all the same. Part of the state, hence on the device.
+        self._fate = p.integers(np.zeros(p.frame_count))
         self._round = Iteration(self._phases(), device, team, capture)
-
-    def _lay_faces(self) -> None:
-        p = self.problem
-        corner = np.argsort(p.faces.ravel(), kind="stable")
-        counts = np.bincount(p.faces.ravel(), minlength=p.vertex_count)
-        self._faces = wp.array(p.faces, dtype=wp.int32, ndim=2, device=p.device)
-        self._face_row = p.integers(np.concatenate([[0], np.cumsum(counts)]))
-        self._face_of = p.integers(corner // 3)
-
-    def _lay_pairs(self) -> None:
-        """Pairs met by vertices, and those asked for by cloud points."""
-        p, o, c = self.problem, self.objective, self.config
-        share = max(1.0 - self.noise, 0.0)
-        pairing = (c.agreement * share, share, p.numbers(c.reach * p.measures.spacing))
-        mesh, cloud = (o.vertices.flatten(), self._normals.flatten()), (p.cloud, p.normals)
-        self._met = pairs_of(
-            pairing, *mesh, p.vertex_frame, o.transform.correspondences.forth.index, *cloud, o.transform.sides
-        )
-        self._asked = pairs_of(pairing, *mesh, p.cloud_frame, o.transform.correspondences.back.index, *cloud)
-
-    def _lay_borders(self) -> None:
-        p, self._border = self.problem, None
-        if p.border is not None:
-            border = wp.array(p.border.astype(np.int32), dtype=wp.int32, ndim=2, device=p.device)
-            self._border, self._border_gap = border, p.numbers(_BORDER_GAP * p.measures.spacing)
-
-    def _lay_times(self) -> None:
-        """From which frames the unseen part of an incomplete one is expected: those around it, if there are two."""
-        p, self._expected = self.problem, None
-        if p.measures.complete.all() or p.frame_count < 3:
-            return
-        t = np.arange(p.frame_count)
-        near, far = t - 1, t + 1
-        near[0], far[0], near[-1], far[-1] = 1, 2, t[-2], t[-3]
-        between = np.ones(p.frame_count)
-        between[[0, -1]] = 0
-        # A guess from guesses is none: one of the frames around must show all, at either end the nearer one.
-        held = ~p.measures.complete & (p.measures.complete[near] | (p.measures.complete[far] & (between == 1)))
-        self._times = p.integers(near), p.integers(far), p.integers(between)
-        self._hold = p.numbers(np.where(held, _HOLD, 0.0))
-        if held.any():
-            self._expected = wp.zeros_like(self.objective.vertices)
 
     def prepare(self) -> None:
         """CPU: record all commands, which compiles what they need."""
@@ -148,30 +75,11 @@ class Refinement:
 
     def start(self) -> None:
         """Take the vertices as they are: the shape is the keyframe's, normals of doubtful side get the mesh's side."""
-        p, o = self.problem, self.objective
-        self.take_shape()
-        everything = p.frame_count * p.vertex_count
-        fit_rotations(0, everything, self._row, self._column, self._rest, o.vertices, self._rotation)
-        vertex_normals(0, everything, self._faces, self._face_row, self._face_of, o.vertices, self._normals)
-        o.transform.correspondences.grid.build()
-        o.transform.correspondences.back.run()
-        self._choose_sides()
+        self.shape.take()
+        self._fit_rotations(0, self.problem.frame_count)
+        self.pairing.choose_sides()
 
-    def _choose_sides(self) -> None:
-        """Turn normals over to the mesh's side, in frames of unknown side and where too many given ones oppose it."""
-        p = self.problem
-        normals, nearest = p.normals.numpy(), on_host(self.objective.transform.correspondences.back.index)
-        facing = on_host(self._normals).reshape(-1, 3)[nearest]
-        opposed = (normals * facing).sum(axis=1) < 0
-        share = np.add.reduceat(opposed, p.cloud_offsets[:-1]) / p.cloud_sizes
-        # A few always do: between two surfaces that touch, the nearest vertex may belong to the other one.
-        doubtful = ~p.oriented | (share > _OPPOSED_MAX)
-        self._doubtful.assign(doubtful.astype(np.int32))
-        turned = opposed & np.repeat(doubtful, p.cloud_sizes)
-        normals[turned] *= -1.0
-        p.normals.assign(normals)
-
-    def step(self) -> None:
+    def run_round(self) -> None:
         """One round; before one of them, frames that lost a limb are fitted again."""
         chain, settled = self.problem.config.optimiser.chain, min(_SETTLED, self.config.iterations // 2)
         if self.config.recover and chain and self.done == settled:
@@ -180,10 +88,11 @@ class Refinement:
         self.done += 1
 
     def _recover(self) -> None:
-        p, o = self.problem, self.objective
+        p, o, pairs = self.problem, self.objective, self.pairing
         vertices = o.vertices.numpy().astype(np.float64)
-        points, normals = p.by_frame(p.cloud.numpy()), p.by_frame(self._given_normals)
-        clouds = [Cloud(*frame) for frame in zip(points, normals, p.oriented, self._doubtful.numpy() == 0, strict=True)]
+        points, normals = p.by_frame(p.cloud.numpy()), p.by_frame(pairs.given_normals)
+        agree = pairs.doubtful.numpy() == 0
+        clouds = [Cloud(*frame) for frame in zip(points, normals, p.oriented, agree, strict=True)]
         # Of an incomplete frame what is seen need not hang together: it says nothing of limbs lost.
         judged = np.flatnonzero(p.measures.complete | (np.arange(p.frame_count) == p.transitions.keyframe))
         chosen, keyframe = vertices[judged], int(np.searchsorted(judged, p.transitions.keyframe))
@@ -194,7 +103,7 @@ class Refinement:
         self._fate.assign(fate)
         if recovered:
             o.vertices.assign(vertices.astype(np.float32))
-            p.normals.assign(self._given_normals)
+            pairs.forget_sides()
             self.start()
 
     @property
@@ -207,34 +116,35 @@ class Refinement:
         """Frames a part of whose points the mesh does not cover."""
         return np.flatnonzero(self._fate.numpy() == 2).tolist()
 
-    def take_shape(self) -> None:
-        """The keyframe's vertices are the shape."""
-        copy_vectors(frame_of(self.objective.vertices, self.problem.transitions.keyframe), self._rest)
-
     def settle(self, frame: int, neighbour: int, rounds: int) -> None:
         """Fit one frame alone to its cloud and the shape as they are; frames may be settled at the same time.
 
-        Rotations are looked for from those of a neighbour, already settled.
+        Rotations are looked for from those of a neighbour, already settled; so what is not seen goes with its move.
         """
-        o, count = self.objective, self.problem.vertex_count
-        wp.copy(frame_of(self._rotation, frame), frame_of(self._rotation, neighbour))
-        if self._expected is not None:
-            # What is not seen goes with its neighbour's step.
-            copy_vectors(frame_of(o.vertices, frame), frame_of(self._expected, frame))
-        fit_rotations(frame * count, count, self._row, self._column, self._rest, o.vertices, self._rotation)
+        wp.copy(frame_of(self.rotation, frame), frame_of(self.rotation, neighbour))
+        if self.unseen:
+            self.unseen.stay(frame)
+        self._fit_rotations(frame, frame + 1)
         for _ in range(rounds):
             self._fit_frames(frame, frame + 1)
 
     def look(self) -> None:
         """Note what the linear solves of the last round did, in ``solves``. Waits for the device."""
-        for solver, tolerance in ((self._solver, self.config.tolerance), (self._shape_solver, _SHAPE_TOLERANCE)):
-            note_solve(self.solves, int(solver.iterations.numpy().max()), solver.residual.numpy(), tolerance)
+        iterations = int(self._solver.iterations.numpy().max())
+        note_solve(self.solves, iterations, self._solver.residual.numpy(), self.config.tolerance)
+        self.shape.note(self.solves)
 
     def state(self) -> dict[str, wp.array]:
         """What a round leaves for the next, by name: the arrays themselves. Searches remember more, but are exact."""
-        arrays = {"vertices": self.objective.vertices, "rest": self._rest, "rotation": self._rotation}
-        arrays |= {"doubtful": self._doubtful, "fate": self._fate}
-        return {**arrays, "normals": self.problem.normals, "shape_start": self._shape_solver.start}
+        return {
+            "vertices": self.objective.vertices,
+            "rest": self.shape.places,
+            "rotation": self.rotation,
+            "doubtful": self.pairing.doubtful,
+            "fate": self._fate,
+            "normals": self.problem.normals,
+            "shape_start": self.shape.start,
+        }
 
     def restore(self, state: Mapping[str, wp.array | np.ndarray], done: int) -> None:
         """Go on after ``done`` rounds from copies of what ``state`` gave, here or in another run, without ``start``."""
@@ -251,51 +161,30 @@ class Refinement:
     # Tasks.
 
     def _fit_frames(self, first: int, last: int) -> None:
-        p, o, c = self.problem, self.objective, self.config
-        begin, count = first * p.vertex_count, (last - first) * p.vertex_count
-        met_begin, met_count = span(p.cloud_offsets, first, last)
-        mesh = (self._row, self._column)
-        vertex_normals(begin, count, self._faces, self._face_row, self._face_of, o.vertices, self._normals)
-        o.transform.correspondences.find((first, last), (first, last))
-
-        sums = (self._matrix.flatten(), self._pull.flatten())
-        vertex_planes(begin, count, self._met, *sums)
-        cloud_planes(met_begin, met_count, self._asked, *sums)
-        if self._border is not None:
-            vertex_borders(begin, count, self._met, self._border, _BORDER, self._border_gap, *sums)
-            cloud_borders(met_begin, met_count, self._asked, self._border, _BORDER, *sums)
-        if self._expected is not None:
-            hold_unseen(begin, count, self._met, self._expected.flatten(), self._hold, *sums)
-        rigid_pull(begin, count, self.rigidity, *mesh, self._rest, self._rotation, o.vertices, self._pull)
-        self._solver.solve(first, last, self.rigidity, c.damping, self._matrix, self._pull, self._move)
+        """Pair, solve for the moves that the pairs, the edges and the frames around ask for, and turn with them."""
+        o, c = self.objective, self.config
+        begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
+        self.pairing.find(first, last)
+        sums = (self._matrix.flatten(), self._rhs.flatten())
+        self.pairing.equations(first, last, *sums)
+        if self.unseen:
+            self.unseen.hold(first, last, self.pairing, *sums)
+        rigid_pull(begin, count, self.rigidity, *self._edges, self.shape.places, self.rotation, o.vertices, self._rhs)
+        self._solver.solve(first, last, self.rigidity, c.damping, self._matrix, self._rhs, self._move)
         add_scaled(begin, count, 1.0, self._move.flatten(), o.vertices.flatten())
-        fit_rotations(begin, count, *mesh, self._rest, o.vertices, self._rotation)
+        self._fit_rotations(first, last)
 
-    def _expect(self, begin: int, count: int) -> None:
-        assert self._expected is not None  # else it is no phase
-        expected_places(begin, count, *self._times, self.objective.vertices, self._rotation, self._expected)
-
-    def _ask_frames(self, begin: int, count: int) -> None:
-        mesh = (self._row, self._column)
-        rest_pull(begin, count, self._telling, *mesh, self._rotation, self.objective.vertices, self._shape_pull)
-
-    def _fit_shape(self) -> None:
-        """(I + s L) y = y_old + s pull: the optimum L y = pull, at the cost of s^-1 of staying."""
-        p, c = self.problem, self.config
-        copy_vectors(self._rest, self._shape)
-        add_scaled(0, p.vertex_count, c.shape_smoothness, self._shape_pull, self._shape)
-        self._shape_solver.solve(self._shape, self._shape_pull, 0, 1)
-        blend(c.shape_step, self._shape_pull, self._rest)
+    def _fit_rotations(self, first: int, last: int) -> None:
+        begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
+        fit_rotations(begin, count, *self._edges, self.shape.places, self.objective.vertices, self.rotation)
 
     def _phases(self) -> list[Phase]:
-        p = self.problem
-        frames, runs = p.frame_spans(), p.vertex_spans()
+        frames, runs = self.problem.frame_spans(), self.problem.vertex_spans()
         phases: list[tuple[str, list[Callable[[], None]]]] = [
             ("frames", [partial(self._fit_frames, a, b) for a, b in frames]),
-            ("edges", [partial(self._ask_frames, a, b - a) for a, b in runs]),
-            ("shape", [self._fit_shape]),
+            ("edges", [partial(self.shape.ask, a, b) for a, b in runs]),
+            ("shape", [self.shape.solve]),
         ]
-        if self._expected is not None:
-            count = p.vertex_count
-            phases.insert(0, ("expect", [partial(self._expect, a * count, (b - a) * count) for a, b in frames]))
+        if self.unseen:
+            phases.insert(0, ("expect", [partial(self.unseen.expect, a, b) for a, b in frames]))
         return [Phase(name, tasks) for name, tasks in phases]

@@ -137,7 +137,7 @@ class FitRun:
         good = {name: wp.clone(array) for name, array in r.state().items()}
         rounds = r.config.iterations
         while r.done < rounds and not reason:
-            r.step()
+            r.run_round()
             if not _finite(r.state()):
                 self._warn(
                     f"round {r.done} of the vertex stage left the finite numbers and was undone; the result is that of "

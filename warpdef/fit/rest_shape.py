@@ -1,0 +1,64 @@
+"""One rest shape for all frames: what one frame's points leave open, the points of all others fill in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+
+from warpdef.device import frame_of
+from warpdef.fit.problem import Problem
+from warpdef.fit.sobolev import SolveReport, note_solve
+from warpdef.kernels.cg import ConjugateGradients
+from warpdef.kernels.rigidity import rest_pull
+from warpdef.kernels.vectors import add_scaled, blend, copy_vectors
+
+_TOLERANCE = 1e-4
+_ITERATIONS = 200
+
+
+class RestShape:
+    """The shape y that the edges of all frames, turned back, fit best.
+
+    Args:
+        vertices: of all frames, shape (T, V) vec3. rotation: theirs, from the shape, (T, V) mat33.
+
+    places: y, shape (V,) vec3. start: of its next solve, the last solution.
+    """
+
+    def __init__(self, problem: Problem, vertices: wp.array, rotation: wp.array) -> None:
+        p, self._config = problem, problem.config.refine
+        self._vertices, self._rotation = vertices, rotation
+        self._keyframe = frame_of(vertices, p.transitions.keyframe)
+        self._edges = p.integers(p.mesh.row), p.integers(p.mesh.column)
+        # Where an incomplete frame shows nothing, its mesh is a guess from the shape: asked only if no frame shows all.
+        self._telling = p.integers(np.flatnonzero(p.measures.complete | ~p.measures.complete.any()))
+        self.places = wp.clone(self._keyframe)
+        self._rhs, self._right_side = (wp.zeros(p.vertex_count, dtype=wp.vec3, device=p.device) for _ in range(2))
+        stiff = replace(p.mesh, weight=np.array([self._config.shape_smoothness], dtype=np.float32))
+        self._solver = ConjugateGradients(stiff, wp.vec3, _TOLERANCE, _ITERATIONS, p.device)
+        self.start = self._solver.start
+
+    def take(self) -> None:
+        """The keyframe's vertices are the shape."""
+        copy_vectors(self._keyframe, self.places)
+
+    def note(self, solves: SolveReport) -> None:
+        """Note the last solve. Waits for the device."""
+        iterations = int(self._solver.iterations.numpy().max())
+        note_solve(solves, iterations, self._solver.residual.numpy(), _TOLERANCE)
+
+    # Tasks.
+
+    def ask(self, first: int, last: int) -> None:
+        """What the frames say of the edges of vertices ``first .. last``."""
+        rest_pull(first, last - first, self._telling, *self._edges, self._rotation, self._vertices, self._rhs)
+
+    def solve(self) -> None:
+        """(I + s L) y = y_old + s b: the optimum L y = b of the right-hand side b, at the cost of s^-1 of staying."""
+        c, count = self._config, len(self.places)
+        copy_vectors(self.places, self._right_side)
+        add_scaled(0, count, c.shape_smoothness, self._rhs, self._right_side)
+        self._solver.solve(self._right_side, self._rhs, 0, 1)
+        blend(c.shape_step, self._rhs, self.places)

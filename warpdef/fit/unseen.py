@@ -1,0 +1,70 @@
+"""Where vertices are expected that a frame does not show: halfway between the frames around it (``kernels.unseen``)."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from warpdef.device import frame_of
+from warpdef.fit.pairing import Pairing
+from warpdef.fit.problem import Problem
+from warpdef.kernels.unseen import expected_places, hold_unseen
+from warpdef.kernels.vectors import copy_vectors
+
+_HOLD = 0.05  # weight of the place expected of an unseen vertex against one plane
+
+
+class Unseen:
+    """Incomplete frames beside one that shows all of the surface, and the places expected of their vertices.
+
+    Args:
+        vertices: of all frames, shape (T, V) vec3. rotation: theirs, from the rest shape, (T, V) mat33.
+
+    frames: those held, ascending; none with fewer than three frames.
+    """
+
+    def __init__(self, problem: Problem, vertices: wp.array, rotation: wp.array) -> None:
+        p, self._vertices, self._rotation = problem, vertices, rotation
+        self._count = p.vertex_count
+        near, far, between = _around(p.frame_count)
+        complete = p.measures.complete
+        # A guess from guesses is none: one of the frames around must show all, at either end the nearer one.
+        held = ~complete & (complete[near] | (complete[far] & (between == 1)))
+        self.frames = np.flatnonzero(held) if p.frame_count >= 3 else np.zeros(0, dtype=int)
+        self._around = p.integers(near), p.integers(far), p.integers(between)
+        self._hold = p.numbers(np.where(held, _HOLD, 0.0))
+        self._expected = wp.zeros_like(vertices) if len(self.frames) else None
+
+    def __bool__(self) -> bool:
+        return len(self.frames) > 0
+
+    # Tasks, only where frames are held.
+
+    def stay(self, frame: int) -> None:
+        """What is not seen of a frame is expected where it is."""
+        copy_vectors(frame_of(self._vertices, frame), frame_of(self._places(), frame))
+
+    def expect(self, first: int, last: int) -> None:
+        """Where the vertices of frames ``first .. last`` are expected, by the frames around them as they are."""
+        begin, count = first * self._count, (last - first) * self._count
+        expected_places(begin, count, *self._around, self._vertices, self._rotation, self._places())
+
+    def hold(self, first: int, last: int, pairing: Pairing, matrix_out: wp.array, rhs_out: wp.array) -> None:
+        """Add what holds vertices that have no pairs to the normal equations; shapes (T V,)."""
+        begin, count = first * self._count, (last - first) * self._count
+        hold_unseen(begin, count, pairing.met, self._places().flatten(), self._hold, matrix_out, rhs_out)
+
+    def _places(self) -> wp.array:
+        assert self._expected is not None
+        return self._expected
+
+
+def _around(frame_count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nearer and the farther of the frames around each, and whether it lies between them; (T,) each."""
+    t = np.arange(frame_count)
+    near, far, between = t - 1, t + 1, np.ones(frame_count)
+    if frame_count < 3:
+        return t, t, between
+    near[0], far[0], near[-1], far[-1] = 1, 2, t[-2], t[-3]
+    between[[0, -1]] = 0
+    return near, far, between
