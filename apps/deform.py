@@ -38,6 +38,9 @@ def deform(
     up: Literal["y", "z"] = "y",
     frames: Annotated[str, Parameter(allow_leading_hyphen=True)] = "",
     metres_per_unit: Annotated[float, Parameter(validator=Number(gt=0))] = 1.0,
+    bones: str = "",
+    precise: Annotated[bool, Parameter(negative="")] = False,
+    meshopt: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Move other geometry as a result moves: a denser or textured mesh, a point set, landmarks.
@@ -58,10 +61,14 @@ def deform(
         up: The axis that points up in the result; .glb and .usd carry it.
         frames: Frames used, start:stop:step; empty: all.
         metres_per_unit: Length of the result's unit in metres; .glb and .usd carry it.
+        bones: Fit so many rigid bones to the motion, or as many as it needs (--bones auto), and write a mesh that they
+            move: .glb, or the bones alone as .bvh.
+        precise: Keep float32 in .glb, whose positions else are whole multiples of a small step, which is reported.
+        meshopt: Pack .glb with EXT_meshopt_compression, by the extra [meshopt]; for web pages and engines, Blender does
+            not read it.
         overwrite: Replace an older file.
     """
-    from warpdef.export import check_place, format_of
-    from warpdef.export import export as write
+    from warpdef.apps.export_options import Packing
     from warpdef.export.pace import frame_names, pace
     from warpdef.files import read_geometry
     from warpdef.files.frame_files import select_frames
@@ -69,21 +76,23 @@ def deform(
 
     started = time.perf_counter()
     chosen = parse_slice(frames)
-    check_place(file, format_of(file, format), overwrite)
+    packing = Packing(file, format, bones, precise, meshopt, overwrite)
+    packing.check()
     with clean_stdout():
         run = load_run(output)
         times = pace(select_frames(range(len(run.meshes)), chosen, 1, run.path), fps, slow, recorded_fps)
         given = read_geometry(geometry)
         for note in given.notes:
             say(f"warpdef: warning: {note}")
-        format_of(file, format, points=given.faces is None)
+        form = packing.check(points=given.faces is None)
         moved = run.follow(given.points)
         how = {"names": frame_names(run.names, times), "fps": fps, "up": up, "metres_per_unit": metres_per_unit}
         animation = _animate(given, moved, times, how)
-        places = write(animation, file, format=format, overwrite=overwrite)
+        places = packing.write(animation, form)
     _warn_of_distance(geometry, moved, run)
     kind = "points" if given.faces is None else f"vertices, {len(given.faces)} faces"
     report_places(f"{len(times)} frames, {len(given.points)} {kind}, moved from frame {run.keyframe}", places, started)
+    packing.say_cost(animation, form)
     return EXIT_OK
 
 

@@ -32,6 +32,7 @@ def export(
     truth: Path | None = None,
     truth_frames: Annotated[str, Parameter(allow_leading_hyphen=True)] = "",
     precise: Annotated[bool, Parameter(negative="")] = False,
+    meshopt: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Write a result in another program's format, chosen by the suffix of FILE.
@@ -62,26 +63,17 @@ def export(
         truth: The true meshes, for --color error; truth.npz in OUTPUT is taken where there is one.
         truth_frames: The truth's frames that the result was made from, start:stop:step.
         precise: Keep float32 in .glb, whose positions else are whole multiples of a small step, which is reported.
+        meshopt: Pack .glb with EXT_meshopt_compression, by the extra [meshopt]; for web pages and engines, Blender does
+            not read it.
         overwrite: Replace an older export.
     """
-    from warpdef.apps.export_options import (
-        fit_bones,
-        load_measures,
-        parse_bones,
-        say_measure,
-        say_quantised,
-        unit_name,
-    )
-    from warpdef.export import check_content, check_place, format_of
-    from warpdef.export import export as write
+    from warpdef.apps.export_options import Packing, load_measures, say_measure, unit_name
     from warpdef.export.animation import load_animation
 
     started = time.perf_counter()
-    form, bone_count = format_of(file, format), parse_bones(bones)
-    rigged = bool(bones) or not form.writer
-    check_place(file, form, overwrite)
+    packing = Packing(file, format, bones, precise, meshopt, overwrite)
     measured = color != "template"
-    check_content(file, form, rigged, measured)
+    form = packing.check(measured)
     with clean_stdout():
         measures = load_measures(output, input, truth, parse_slice(truth_frames)) if measured else None
         animation = load_animation(
@@ -96,13 +88,11 @@ def export(
             color=color,
             unit=unit_name(metres_per_unit),
         )
-        rig = fit_bones(animation, bone_count) if rigged else None
-        places = write(animation, file, format=format, overwrite=overwrite, rig=rig, precise=precise)
+        places = packing.write(animation, form)
     frame_count, vertex_count = animation.vertices.shape[:2]
     report_places(f"{frame_count} frames, {vertex_count} vertices, {len(animation.faces)} faces", places, started)
-    say_measure(animation, (format or file.suffix).lower().removeprefix("."), rigged)
-    if form.quantised and rig is None:
-        say_quantised(animation, precise)
+    say_measure(animation, packing.suffix, packing.is_rigged(form))
+    packing.say_cost(animation, form)
     return EXIT_OK
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,11 +10,74 @@ from warpdef.apps.console import say
 from warpdef.errors import InputError
 
 if TYPE_CHECKING:
+    from warpdef.export import Format
     from warpdef.export.animation import Animation
+    from warpdef.export.points import MovingPoints
     from warpdef.rig.decompose import Rig
     from warpdef.vertex_measures import VertexMeasures
 
 _UNITS = {0.001: "mm", 0.01: "cm", 0.1: "dm", 1000.0: "km", 0.0254: "inches", 0.3048: "feet"}
+
+
+@dataclass(frozen=True)
+class Packing:
+    """Where and how a moving mesh is written, as the flags of ``warpdef export`` and ``warpdef deform`` say it."""
+
+    file: Path
+    format: str = ""
+    bones: str = ""
+    precise: bool = False
+    meshopt: bool = False
+    overwrite: bool = False
+
+    @property
+    def suffix(self) -> str:
+        """The key of the format."""
+        return (self.format or self.file.suffix).lower().removeprefix(".")
+
+    def is_rigged(self, form: Format) -> bool:
+        """Whether bones move what is written."""
+        return bool(self.bones) or not form.writer
+
+    def check(self, measured: bool = False, points: bool = False) -> Format:
+        """The format, once it is sure that it holds what is wanted and that the place is free.
+
+        Args:
+            measured: with a number at every vertex. points: points without faces.
+
+        Raises:
+            InputError: it does not, or something stands there.
+        """
+        from warpdef.export import check_content, check_place, format_of
+
+        form = format_of(self.file, self.format, points)
+        parse_bones(self.bones)
+        check_place(self.file, form, self.overwrite)
+        check_content(self.file, form, self.is_rigged(form), measured, self.meshopt)
+        return form
+
+    def write(self, animation: Animation | MovingPoints, form: Format) -> list[Path]:
+        """Write it, with a rig where one is asked for, and return the places written.
+
+        Raises:
+            InputError: as ``export`` and ``fit_bones`` do.
+        """
+        from warpdef.export import export
+        from warpdef.export.animation import Animation
+
+        how = {"format": self.format, "overwrite": self.overwrite, "precise": self.precise, "meshopt": self.meshopt}
+        if isinstance(animation, Animation) and self.is_rigged(form):
+            how["rig"] = fit_bones(animation, parse_bones(self.bones))
+        return export(animation, self.file, **how)
+
+    def say_cost(self, animation: Animation | MovingPoints, form: Format) -> None:
+        """What was rounded, who does not read the file, and where a rig would serve better."""
+        from warpdef.export.animation import Animation
+
+        if isinstance(animation, Animation) and form.quantised and not self.is_rigged(form):
+            say_quantised(animation, self.precise)
+        if self.meshopt:
+            say("warpdef: what --meshopt packs is read by three.js, Babylon.js and game engines; Blender does not")
 
 
 def parse_bones(text: str) -> int | None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from glb_reader import Glb
 from present import present
 from synthetic import bending_bar
 
@@ -78,6 +79,29 @@ def test_everything_a_mesh_carries_arrives(result, tmp_path, capfd):
     np.testing.assert_allclose(present(again.uv), uv, atol=1e-6)
     np.testing.assert_allclose(present(again.normals), moved.turned(normals)[3], atol=1e-5)
     np.testing.assert_allclose(again.points, moved.points[3], atol=1e-6)
+
+
+def test_a_mesh_is_rigged_or_kept_precise(result, tmp_path, capfd):
+    write_ply(tmp_path / "dense.ply")
+    arguments = ["deform", str(result), str(tmp_path / "dense.ply"), "-o"]
+    assert run([*arguments, str(tmp_path / "rig.glb"), "--bones", "2"]) == 0
+    assert "rig of 2 bones" in capfd.readouterr().err
+    assert "JOINTS_0" in Glb(tmp_path / "rig.glb").json["meshes"][0]["primitives"][0]["attributes"]
+    assert run([*arguments, str(tmp_path / "bones.bvh"), "--bones", "2"]) == 0
+    assert (tmp_path / "bones.bvh").read_text().startswith("HIERARCHY")
+    capfd.readouterr()
+    kinds = []
+    for flags in ([], ["--precise"]):
+        assert run([*arguments, str(tmp_path / f"{len(flags)}.glb"), *flags]) == 0
+        assert ("positions are multiples of" in capfd.readouterr().out) == (not flags)
+        glb = Glb(tmp_path / f"{len(flags)}.glb").json
+        kinds.append(glb["accessors"][glb["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]["componentType"])
+    assert kinds == [5122, 5126]
+    np.save(tmp_path / "points.npy", DENSE.vertices[KEYFRAME])
+    assert (
+        run(["deform", str(result), str(tmp_path / "points.npy"), "-o", str(tmp_path / "a.npz"), "--bones", "2"]) == 2
+    )
+    assert "leave --bones out" in capfd.readouterr().err
 
 
 def test_a_texture_with_seams_is_split(result, tmp_path):

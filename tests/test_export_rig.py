@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from glb_reader import Glb
 from scipy.spatial.transform import Rotation
 from synthetic import bending_bar
 
-from warpdef.errors import InputError
+from warpdef.errors import InputError, MissingPackageError
 from warpdef.export import export
 from warpdef.export.animation import Animation
 from warpdef.export.gltf import normal_offsets, quantisation
@@ -185,4 +187,46 @@ def test_a_rig_needs_a_format_of_bones(tmp_path):
         export(PLAIN, tmp_path / "bar.obj", rig=fit_rig(VERTICES, 2))
     with pytest.raises(InputError, match="give --bones auto"):
         export(PLAIN, tmp_path / "bar.bvh")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("rigged", [False, True])
+def test_a_packed_glb_holds_what_the_other_holds(tmp_path, rigged):
+    """Unpacked by the codec's own reader: every array byte for byte, triangles but for which corner is first."""
+    meshopt = pytest.importorskip("meshopt")
+    rig = fit_rig(VERTICES, 3) if rigged else None
+    plain, packed = tmp_path / "plain.glb", tmp_path / "packed.glb"
+    export(TURNED, plain, rig=rig)
+    export(TURNED, packed, rig=rig, meshopt=True)
+    plain, packed = Glb(plain), Glb(packed)
+    name = "EXT_meshopt_compression"
+    assert packed.json["extensionsRequired"] == plain.json.get("extensionsRequired", []) + [name]
+    assert packed.json["accessors"] == plain.json["accessors"]
+    there, absent = packed.json["buffers"]
+    assert absent == {"byteLength": plain.json["buffers"][0]["byteLength"], "extensions": {name: {"fallback": True}}}
+    assert there["byteLength"] < absent["byteLength"]
+    for view, packed_view in zip(plain.json["bufferViews"], packed.json["bufferViews"], strict=True):
+        how = packed_view.pop("extensions")[name]
+        assert packed_view == view | {"buffer": 1}
+        data = packed.binary[how["byteOffset"] : how["byteOffset"] + how["byteLength"]]
+        rows = meshopt.decode_gltf_buffer(data, how["count"], how["byteStride"], how["mode"])
+        kept = plain.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        if how["mode"] == "ATTRIBUTES":
+            assert rows.tobytes() == kept
+        else:
+            np.testing.assert_array_equal(first_corner_first(rows), first_corner_first(np.frombuffer(kept, "<u2")))
+
+
+def first_corner_first(corners: np.ndarray) -> np.ndarray:
+    """Triangles, each turned so that its least corner comes first."""
+    faces = corners.reshape(-1, 3).astype(int)
+    return np.stack([np.roll(face, -face.argmin()) for face in faces])
+
+
+def test_only_glb_is_packed_and_a_missing_codec_is_told(tmp_path, monkeypatch):
+    with pytest.raises(InputError, match="expected .glb for --meshopt"):
+        export(PLAIN, tmp_path / "bar.usdc", meshopt=True)
+    monkeypatch.setitem(sys.modules, "meshopt", None)
+    with pytest.raises(MissingPackageError, match=r"warpdef\[meshopt\]"):
+        export(PLAIN, tmp_path / "bar.glb", meshopt=True)
     assert list(tmp_path.iterdir()) == []

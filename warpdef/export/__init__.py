@@ -40,6 +40,7 @@ class Format:
     rigged:    as ``writer``, for a mesh that is moved by a rig, which is its third argument; empty where it holds none
     measured:  holds a measure at the vertices, as numbers or as colours
     quantised: numbers are whole multiples of a step, unless ``precise=True`` is given to ``writer``
+    packed:    ``writer`` and ``rigged`` take ``meshopt=True``, for a smaller file that fewer programs read
     """
 
     writer: str
@@ -50,6 +51,7 @@ class Format:
     rigged: str = ""
     quantised: bool = False
     measured: bool = False
+    packed: bool = False
 
     def places(self, path: Path, texture: Texture | None = None) -> list[Path]:
         """Everything that an export to ``path`` makes."""
@@ -68,6 +70,7 @@ FORMATS = {
         rigged="gltf_rig:write_rigged_glb",
         quantised=True,
         measured=True,
+        packed=True,
     ),
     "usd": _USD,
     "usda": _USD,
@@ -153,6 +156,7 @@ def export(
     overwrite: bool = False,
     rig: Rig | None = None,
     precise: bool = False,
+    meshopt: bool = False,
 ) -> list[Path]:
     """Write a moving mesh, or moving points, to ``path`` and, for some formats, to places beside it: all, or nothing.
 
@@ -163,6 +167,7 @@ def export(
         overwrite: replace what an earlier export left there.
         rig: bones that move the mesh in place of the frames themselves, ``fit_rig(animation.vertices)``.
         precise: float32 where the format's numbers would be quantised.
+        meshopt: pack the arrays of a .glb by meshoptimizer.
 
     Returns:
         The places written, ``path`` first.
@@ -176,11 +181,13 @@ def export(
     form = format_of(path, format, isinstance(animation, MovingPoints))
     texture = animation.texture if isinstance(animation, Animation) else None
     check_place(path, form, overwrite, texture)
-    check_content(path, form, rig is not None, isinstance(animation, Animation) and animation.measured is not None)
+    measured = isinstance(animation, Animation) and animation.measured is not None
+    check_content(path, form, rig is not None, measured, meshopt)
     module, function = (form.writer if rig is None else form.rigged).split(":")
     write = getattr(importlib.import_module(f"warpdef.export.{module}"), function)
     extras: dict[str, Any] = {} if rig is None else {"rig": rig}
     extras |= {"precise": True} if precise and form.quantised and rig is None else {}
+    extras |= {"meshopt": True} if meshopt else {}
     stage = sibling(path, "partial")
     try:
         stage.mkdir()
@@ -196,15 +203,17 @@ def export(
         shutil.rmtree(stage, ignore_errors=True)
 
 
-def check_content(path: Path | str, form: Format, rigged: bool, measured: bool) -> None:
+def check_content(path: Path | str, form: Format, rigged: bool, measured: bool, meshopt: bool = False) -> None:
     """Check that a format can hold what it is to hold.
 
     Args:
         rigged: a mesh moved by bones; else one given frame by frame.
         measured: a number at every vertex.
+        meshopt: packed by meshoptimizer.
 
     Raises:
         InputError: it cannot; the message lists the formats that can.
+        MissingPackageError: meshopt is not installed.
     """
     if rigged and not form.rigged:
         known = " or ".join(f".{key}" for key, other in FORMATS.items() if other.rigged)
@@ -212,6 +221,13 @@ def check_content(path: Path | str, form: Format, rigged: bool, measured: bool) 
     if measured and not form.measured:
         known = " ".join(f".{key}" for key, other in FORMATS.items() if other.measured)
         raise InputError(f"{path}: expected one of {known} for a measure, got a format without; leave --color out")
+    if meshopt and not form.packed:
+        known = " or ".join(f".{key}" for key, other in FORMATS.items() if other.packed)
+        raise InputError(f"{path}: expected {known} for --meshopt, got another format; leave it out")
+    if meshopt:
+        from warpdef.export.gltf_buffer import meshopt_encoder
+
+        meshopt_encoder()
     if not rigged and not form.writer:
         raise InputError(f"{path}: expected a rig for a format of bones alone, got none; give --bones auto")
 

@@ -26,16 +26,18 @@ _ANGLE = np.radians(2.0)  # of a normal, at most, between what is meant and what
 _LENGTH = 0.995  # of base normals; see normal_offsets. Within what the Khronos validator calls unit
 
 
-def write_glb(animation: Animation, path: Path, precise: bool = False) -> None:
+def write_glb(animation: Animation, path: Path, precise: bool = False, meshopt: bool = False) -> None:
     """Write the animation to ``path``.
 
     Args:
         precise: float32 throughout, in place of quantised numbers.
+        meshopt: pack the arrays, for programs that know EXT_meshopt_compression.
 
     Raises:
+        MissingPackageError: meshopt is asked for and not installed.
         InputError: more than the 4 GiB that the format can hold.
     """
-    buffer, document = Buffer(), start_document()
+    buffer, document = Buffer(meshopt), start_document()
     center, scale, positions = None, 1.0, _float_positions(animation)
     if not precise:
         center, step = quantisation(animation.vertices)

@@ -1,15 +1,22 @@
-"""The binary half of a .glb: arrays with the accessors that describe them, and the container around it all."""
+"""The binary half of a .glb: arrays with the accessors that describe them, and the container around it all.
+
+Arrays can be packed by meshoptimizer's codecs (EXT_meshopt_compression), without loss: vertex data row by row, and
+triangles, of which the first corner may then be another. What the views say they hold lies in a second buffer that is
+not there; programs unpack into it.
+"""
 
 from __future__ import annotations
 
+import importlib
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from warpdef.errors import InputError
+from warpdef.errors import InputError, MissingPackageError
 
 VERTICES, INDICES = 34962, 34963
 """What a view of the buffer is for."""
@@ -18,10 +25,23 @@ _COMPONENTS = {"b": 5120, "B": 5121, "h": 5122, "H": 5123, "I": 5125, "f": 5126}
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
-class Buffer:
-    """Arrays one after the other, each aligned to 4 bytes, with the accessors that describe them."""
+_STRIDE_MAX = 256  # bytes a row, of meshoptimizer's vertex codec
+_PACKED = "EXT_meshopt_compression"
 
-    def __init__(self) -> None:
+
+class Buffer:
+    """Arrays one after the other, each aligned to 4 bytes, with the accessors that describe them.
+
+    Args:
+        meshopt: pack them.
+
+    Raises:
+        MissingPackageError: it is asked for and not installed.
+    """
+
+    def __init__(self, meshopt: bool = False) -> None:
+        self.encode = meshopt_encoder() if meshopt else None
+        self.unpacked_size = 0
         self.accessors: list[dict[str, Any]] = []
         self.views: list[dict[str, Any]] = []
         self.chunks: list[bytes] = []
@@ -40,7 +60,7 @@ class Buffer:
         if target == VERTICES and row % 4:
             stored = np.zeros((len(table), (row + 3) // 4 * 4 // array.dtype.itemsize), dtype=array.dtype)
             stored[:, :columns] = table
-        view = self.add_bytes(np.ascontiguousarray(stored, dtype=array.dtype.newbyteorder("<")).tobytes())
+        view = self._add_rows(np.ascontiguousarray(stored, dtype=array.dtype.newbyteorder("<")), target)
         if target is not None:
             self.views[view]["target"] = target
         if stored is not table:
@@ -65,10 +85,28 @@ class Buffer:
 
     def add_bytes(self, data: bytes) -> int:
         """Append what is no array and return the index of its view."""
-        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(data)})
+        self.views.append(self._store(data))
+        return len(self.views) - 1
+
+    def _store(self, data: bytes) -> dict[str, Any]:
+        """Append bytes, and say where they are."""
+        where = {"buffer": 0, "byteOffset": self.size, "byteLength": len(data)}
         data += bytes(-len(data) % 4)
         self.chunks.append(data)
         self.size += len(data)
+        return where
+
+    def _add_rows(self, rows: np.ndarray, target: int | None) -> int:
+        """Append rows (N, k) as they are or, where the codec takes them, packed; the index of their view."""
+        stride = rows.shape[1] * rows.itemsize
+        triangles = target == INDICES
+        if self.encode is None or not (triangles or (stride % 4 == 0 and stride <= _STRIDE_MAX)):
+            return self.add_bytes(rows.tobytes())
+        mode = "TRIANGLES" if triangles else "ATTRIBUTES"
+        packed = self._store(self.encode(rows, mode)) | {"byteStride": stride, "mode": mode, "count": len(rows)}
+        view = {"buffer": 1, "byteOffset": self.unpacked_size, "byteLength": rows.nbytes}
+        self.unpacked_size += rows.nbytes + -rows.nbytes % 4
+        self.views.append(view | {"extensions": {_PACKED: packed}})
         return len(self.views) - 1
 
     def write(self, path: Path, document: dict[str, Any]) -> None:
@@ -77,7 +115,12 @@ class Buffer:
         Raises:
             InputError: more than the 4 GiB that the format can hold.
         """
-        document |= {"accessors": self.accessors, "bufferViews": self.views, "buffers": [{"byteLength": self.size}]}
+        buffers: list[dict[str, Any]] = [{"byteLength": self.size}]
+        if self.encode is not None:
+            buffers.append({"byteLength": self.unpacked_size, "extensions": {_PACKED: {"fallback": True}}})
+            for key in ("extensionsUsed", "extensionsRequired"):
+                document[key] = [*document.get(key, []), _PACKED]
+        document |= {"accessors": self.accessors, "bufferViews": self.views, "buffers": buffers}
         text = json.dumps(document, separators=(",", ":")).encode("utf-8")
         text += b" " * (-len(text) % 4)
         total = 12 + 8 + len(text) + 8 + self.size
@@ -91,3 +134,17 @@ class Buffer:
             stream.write(struct.pack("<I4s", len(text), b"JSON") + text)
             stream.write(struct.pack("<I4s", self.size, b"BIN\0"))
             stream.writelines(self.chunks)
+
+
+def meshopt_encoder() -> Callable[[np.ndarray, str], bytes]:
+    """The codec: rows (N, k) and a mode to bytes.
+
+    Raises:
+        MissingPackageError: it is not installed.
+    """
+    try:
+        return importlib.import_module("meshopt").encode_gltf_buffer
+    except ImportError as error:
+        raise MissingPackageError(
+            f"--meshopt needs meshopt ({error}); install it: pip install 'warpdef[meshopt]'"
+        ) from error

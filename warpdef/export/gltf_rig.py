@@ -22,13 +22,17 @@ from warpdef.rig.skeleton import Skeleton, build_skeleton
 _MESH_NODE, _ARMATURE, _FIRST_JOINT = 0, 1, 2
 
 
-def write_rigged_glb(animation: Animation, path: Path, rig: Rig) -> None:
+def write_rigged_glb(animation: Animation, path: Path, rig: Rig, meshopt: bool = False) -> None:
     """Write the mesh in its rest shape, with the rig that moves it, to ``path``.
 
+    Args:
+        meshopt: pack the arrays, for programs that know EXT_meshopt_compression.
+
     Raises:
+        MissingPackageError: meshopt is asked for and not installed.
         InputError: more than the 4 GiB that the format can hold.
     """
-    buffer, skeleton = Buffer(), build_skeleton(rig)
+    buffer, skeleton = Buffer(meshopt), build_skeleton(rig)
     document = start_document()
     document["scenes"] = [{"nodes": [_MESH_NODE, _ARMATURE]}]
     document["nodes"] = [
