@@ -41,7 +41,7 @@ def outward_of(vertices: wp.array[wp.vec3], border: wp.array2d[wp.int32], first:
     return b
 
 
-@sizes("threads: K=P; border: V 3; gap: T; matrix_out: P=T*V; pull_out: P")
+@sizes("threads: K=P; border: V 3; gap: T; matrix_out: P=T*V; rhs_out: P")
 @wp.kernel
 def _vertex_borders(
     # In:
@@ -52,7 +52,7 @@ def _vertex_borders(
     gap: wp.array[wp.float32],
     # Out, added to:
     matrix_out: wp.array[wp.mat33],
-    pull_out: wp.array[wp.vec3],
+    rhs_out: wp.array[wp.vec3],
 ):
     """One thread a vertex of a frame."""
     i = begin + wp.tid()
@@ -64,10 +64,10 @@ def _vertex_borders(
             d = pairs.vertices[i] - pairs.cloud[j]
             w = stiffness * own_weight(pairs, i, j, t)
             matrix_out[i] = matrix_out[i] + w * wp.outer(b, b)
-            pull_out[i] = pull_out[i] + (w * (gap[t] - wp.dot(b, d))) * b
+            rhs_out[i] = rhs_out[i] + (w * (gap[t] - wp.dot(b, d))) * b
 
 
-@sizes("threads: K=N; border: V 3; matrix_out: P=T*V; pull_out: P")
+@sizes("threads: K=N; border: V 3; matrix_out: P=T*V; rhs_out: P")
 @wp.kernel
 def _cloud_borders(
     # In:
@@ -77,7 +77,7 @@ def _cloud_borders(
     stiffness: float,
     # Out, added to:
     matrix_out: wp.array[wp.mat33],
-    pull_out: wp.array[wp.vec3],
+    rhs_out: wp.array[wp.vec3],
 ):
     """One thread a cloud point, with its nearest vertex, which others may share."""
     i = begin + wp.tid()
@@ -90,12 +90,12 @@ def _cloud_borders(
             if wp.length_sq(pair_plane(pairs, j, i)) > 0.0:
                 w = stiffness * pair_weight(pairs, j, i, t)
                 wp.atomic_add(matrix_out, j, w * wp.outer(b, b))
-                wp.atomic_add(pull_out, j, (-w * wp.dot(b, d)) * b)
+                wp.atomic_add(rhs_out, j, (-w * wp.dot(b, d)) * b)
 
 
 def vertex_borders(
     begin: int, count: int, pairs: Pairs, border: wp.array, stiffness: float, gap: wp.array, matrix_out: wp.array,
-    pull_out: wp.array,
+    rhs_out: wp.array,
 ) -> None:  # fmt: skip
     """Add the border's part of vertex-to-cloud pairs, vertices ``begin .. begin + count`` of all frames.
 
@@ -103,14 +103,14 @@ def vertex_borders(
         pairs: by vertex, see ``pairs_of``.
         border: shape (V, 3) int32: for a border vertex those before and after it on the border, and one inside; -1 for
             all others. stiffness: weight against one plane of ``planes``. gap: shape (T,) float32, cube units.
-        matrix_out: shape (T V,) mat33. pull_out: shape (T V,) vec3.
+        matrix_out: shape (T V,) mat33. rhs_out: shape (T V,) vec3.
     """
-    launch(_vertex_borders, count, [begin, pairs, border, stiffness, gap, matrix_out, pull_out], matrix_out.device)
+    launch(_vertex_borders, count, [begin, pairs, border, stiffness, gap, matrix_out, rhs_out], matrix_out.device)
 
 
 def cloud_borders(
     begin: int, count: int, pairs: Pairs, border: wp.array, stiffness: float, matrix_out: wp.array,
-    pull_out: wp.array,
+    rhs_out: wp.array,
 ) -> None:  # fmt: skip
     """Add what cloud points beyond the border ask for, points ``begin .. begin + count``; pairs by point."""
-    launch(_cloud_borders, count, [begin, pairs, border, stiffness, matrix_out, pull_out], matrix_out.device)
+    launch(_cloud_borders, count, [begin, pairs, border, stiffness, matrix_out, rhs_out], matrix_out.device)

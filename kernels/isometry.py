@@ -53,15 +53,15 @@ def _isometry(
     j = edges[e, 1]
     d = vertices[t, i] - vertices[t, j]
     length = wp.length(d)
-    pull = float(0.0)
+    signs = float(0.0)
     if t > 0:
-        pull = pull + sign_of_change(length - wp.length(vertices[t - 1, i] - vertices[t - 1, j]))
+        signs = signs + sign_of_change(length - wp.length(vertices[t - 1, i] - vertices[t - 1, j]))
     if t + 1 < frame_count:
         change = length - wp.length(vertices[t + 1, i] - vertices[t + 1, j])
-        pull = pull + sign_of_change(change)
+        signs = signs + sign_of_change(change)
         wp.atomic_add(loss_out, t, wp.float64(share * wp.abs(change)))
-    if length > 0.0 and pull != 0.0:
-        g = (weight * share * pull / length) * d
+    if length > 0.0 and signs != 0.0:
+        g = (weight * share * signs / length) * d
         wp.atomic_add(adj_vertices_out, t, i, g)
         wp.atomic_add(adj_vertices_out, t, j, -g)
 
@@ -102,8 +102,8 @@ _VERTEX = """
             const lanes before = length - SHIFT(0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14);
             const lanes after = SHIFT(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 15) - length;
             // A true comparison is -1: signs of the two changes.
-            const whole pull = (before < 0.0f) - (before > 0.0f) + (after > 0.0f) - (after < 0.0f);
-            const lanes g = __builtin_convertvector(pull, lanes) * (factor / length);
+            const whole signs = (before < 0.0f) - (before > 0.0f) + (after > 0.0f) - (after < 0.0f);
+            const lanes g = __builtin_convertvector(signs, lanes) * (factor / length);
             const lanes safe = length > 0.0f ? g : lanes{};
             gx += safe * dx; gy += safe * dy; gz += safe * dz;
             if (i < j) sum += after < 0.0f ? -after : after;

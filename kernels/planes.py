@@ -40,7 +40,7 @@ def _vertex_normals(
     normals_out[t, i] = wp.normalize(total)
 
 
-@sizes("threads: K=P; matrix_out pull_out: P")
+@sizes("threads: K=P; matrix_out rhs_out: P")
 @wp.kernel
 def _vertex_planes(
     # In:
@@ -48,23 +48,23 @@ def _vertex_planes(
     pairs: Pairs,
     # Out:
     matrix_out: wp.array[wp.mat33],
-    pull_out: wp.array[wp.vec3],
+    rhs_out: wp.array[wp.vec3],
 ):
     """One thread a vertex of a frame, with its nearest cloud point; written, not added."""
     i = begin + wp.tid()
     j = pairs.nearest[i]
     matrix = wp.mat33()
-    pull = wp.vec3(0.0, 0.0, 0.0)
+    rhs = wp.vec3(0.0, 0.0, 0.0)
     if j >= 0:
         a = pair_plane(pairs, i, j)
         w = own_weight(pairs, i, j, pairs.frame[i])
         matrix = w * wp.outer(a, a)
-        pull = (-w * wp.dot(a, pairs.vertices[i] - pairs.cloud[j])) * a
+        rhs = (-w * wp.dot(a, pairs.vertices[i] - pairs.cloud[j])) * a
     matrix_out[i] = matrix
-    pull_out[i] = pull
+    rhs_out[i] = rhs
 
 
-@sizes("threads: K=N; matrix_out pull_out: P")
+@sizes("threads: K=N; matrix_out rhs_out: P")
 @wp.kernel
 def _cloud_planes(
     # In:
@@ -72,7 +72,7 @@ def _cloud_planes(
     pairs: Pairs,
     # Out, added to:
     matrix_out: wp.array[wp.mat33],
-    pull_out: wp.array[wp.vec3],
+    rhs_out: wp.array[wp.vec3],
 ):
     """One thread a cloud point, with its nearest vertex, which others may share."""
     i = begin + wp.tid()
@@ -81,7 +81,7 @@ def _cloud_planes(
         a = pair_plane(pairs, j, i)
         w = pair_weight(pairs, j, i, pairs.frame[i])
         wp.atomic_add(matrix_out, j, w * wp.outer(a, a))
-        wp.atomic_add(pull_out, j, (-w * wp.dot(a, pairs.vertices[j] - pairs.cloud[i])) * a)
+        wp.atomic_add(rhs_out, j, (-w * wp.dot(a, pairs.vertices[j] - pairs.cloud[i])) * a)
 
 
 def vertex_normals(
@@ -97,15 +97,15 @@ def vertex_normals(
     launch(_vertex_normals, count, [begin, faces, face_row, face_of, vertices, normals_out], vertices.device)
 
 
-def vertex_planes(begin: int, count: int, pairs: Pairs, matrix_out: wp.array, pull_out: wp.array) -> None:
+def vertex_planes(begin: int, count: int, pairs: Pairs, matrix_out: wp.array, rhs_out: wp.array) -> None:
     """Normal equations of vertex-to-cloud pairs, vertices ``begin .. begin + count`` of all frames.
 
     Args:
-        pairs: by vertex, see ``pairs_of``. matrix_out: shape (T V,) mat33. pull_out: shape (T V,) vec3.
+        pairs: by vertex, see ``pairs_of``. matrix_out: shape (T V,) mat33. rhs_out: shape (T V,) vec3.
     """
-    launch(_vertex_planes, count, [begin, pairs, matrix_out, pull_out], matrix_out.device)
+    launch(_vertex_planes, count, [begin, pairs, matrix_out, rhs_out], matrix_out.device)
 
 
-def cloud_planes(begin: int, count: int, pairs: Pairs, matrix_out: wp.array, pull_out: wp.array) -> None:
+def cloud_planes(begin: int, count: int, pairs: Pairs, matrix_out: wp.array, rhs_out: wp.array) -> None:
     """Add the normal equations of cloud-to-vertex pairs, by point, for points ``begin .. begin + count``."""
-    launch(_cloud_planes, count, [begin, pairs, matrix_out, pull_out], matrix_out.device)
+    launch(_cloud_planes, count, [begin, pairs, matrix_out, rhs_out], matrix_out.device)

@@ -4,7 +4,7 @@
 
 over the edges of the mesh, with x the vertices of frame t, y one rest shape for all frames, R rotations. Each of the
 three unknowns has its own step: ``fit_rotations`` is the best R for x and y (by Newton's method from the last one, else
-by singular values); ``rigid_pull`` is minus half the gradient to x; ``rest_pull`` is minus half the gradient to y, at
+by singular values); ``rigid_rhs`` is minus half the gradient to x; ``rest_rhs`` is minus half the gradient to y, at
 y = 0, over the number of frames.
 """
 
@@ -109,9 +109,9 @@ def _fit_rotations(
     rotation[t, i] = followed_rotation(s, rotation[t, i])
 
 
-@sizes("threads: T*V; row: V+1; column: E; rest: V; rotation vertices pull_out: T V")
+@sizes("threads: T*V; row: V+1; column: E; rest: V; rotation vertices rhs_out: T V")
 @wp.kernel
-def _rigid_pull(
+def _rigid_rhs(
     # In:
     begin: int,
     weight: float,
@@ -121,7 +121,7 @@ def _rigid_pull(
     rotation: wp.array2d[wp.mat33],
     vertices: wp.array2d[wp.vec3],
     # Out, added to:
-    pull_out: wp.array2d[wp.vec3],
+    rhs_out: wp.array2d[wp.vec3],
 ):
     """One thread a vertex of a frame."""
     k = begin + wp.tid()
@@ -132,12 +132,12 @@ def _rigid_pull(
         j = column[e]
         turned = 0.5 * ((rotation[t, i] + rotation[t, j]) * (rest[i] - rest[j]))
         total += turned - (vertices[t, i] - vertices[t, j])
-    pull_out[t, i] = pull_out[t, i] + weight * total
+    rhs_out[t, i] = rhs_out[t, i] + weight * total
 
 
-@sizes("threads pull_out: V; frames: A; row: V+1; column: E; rotation vertices: T V")
+@sizes("threads rhs_out: V; frames: A; row: V+1; column: E; rotation vertices: T V")
 @wp.kernel
-def _rest_pull(
+def _rest_rhs(
     # In:
     begin: int,
     frames: wp.array[wp.int32],
@@ -146,7 +146,7 @@ def _rest_pull(
     rotation: wp.array2d[wp.mat33],
     vertices: wp.array2d[wp.vec3],
     # Out:
-    pull_out: wp.array[wp.vec3],
+    rhs_out: wp.array[wp.vec3],
 ):
     """One thread a vertex: what the frames asked, turned back, say of its edges."""
     i = begin + wp.tid()
@@ -157,7 +157,7 @@ def _rest_pull(
             j = column[e]
             d = vertices[t, i] - vertices[t, j]
             total += 0.5 * (wp.transpose(rotation[t, i] + rotation[t, j]) * d)
-    pull_out[i] = total / float(frames.shape[0])
+    rhs_out[i] = total / float(frames.shape[0])
 
 
 def fit_rotations(
@@ -173,21 +173,21 @@ def fit_rotations(
     launch(_fit_rotations, count, [begin, row, column, rest, vertices, rotation], vertices.device)
 
 
-def rigid_pull(
+def rigid_rhs(
     begin: int, count: int, weight: float, row: wp.array, column: wp.array, rest: wp.array, rotation: wp.array,
-    vertices: wp.array, pull_out: wp.array,
+    vertices: wp.array, rhs_out: wp.array,
 ) -> None:  # fmt: skip
     """Add ``weight`` times minus half the gradient to the vertices; shapes as in ``fit_rotations``."""
-    launch(_rigid_pull, count, [begin, weight, row, column, rest, rotation, vertices, pull_out], vertices.device)
+    launch(_rigid_rhs, count, [begin, weight, row, column, rest, rotation, vertices, rhs_out], vertices.device)
 
 
-def rest_pull(
+def rest_rhs(
     begin: int, count: int, frames: wp.array, row: wp.array, column: wp.array, rotation: wp.array, vertices: wp.array,
-    pull_out: wp.array,
+    rhs_out: wp.array,
 ) -> None:  # fmt: skip
-    """Right-hand side of L y = pull for the best rest shape, vertices ``begin .. begin + count``; shape (V,) vec3.
+    """Right-hand side of L y = b for the best rest shape, vertices ``begin .. begin + count``; shape (V,) vec3.
 
     Args:
         frames: those that are asked, shape (A,) int32, at least one. All else as in ``fit_rotations``.
     """
-    launch(_rest_pull, count, [begin, frames, row, column, rotation, vertices, pull_out], vertices.device)
+    launch(_rest_rhs, count, [begin, frames, row, column, rotation, vertices, rhs_out], vertices.device)

@@ -59,7 +59,7 @@ def _expected_places(
         expected_out[t, i] = p + wp.transpose(turn) * (p - q)
 
 
-@sizes("threads: K=P; expected matrix_out pull_out: P; hold: T")
+@sizes("threads: K=P; expected matrix_out rhs_out: P; hold: T")
 @wp.kernel
 def _hold_unseen(
     # In:
@@ -69,7 +69,7 @@ def _hold_unseen(
     hold: wp.array[wp.float32],
     # Out, added to:
     matrix_out: wp.array[wp.mat33],
-    pull_out: wp.array[wp.vec3],
+    rhs_out: wp.array[wp.vec3],
 ):
     """One thread a vertex of a frame."""
     i = begin + wp.tid()
@@ -81,7 +81,7 @@ def _hold_unseen(
             seen = wp.length_sq(pair_plane(pairs, i, j)) * own_weight(pairs, i, j, t)
         h = hold[t] * wp.max(1.0 - seen, 0.0)
         matrix_out[i] = matrix_out[i] + h * wp.identity(n=3, dtype=float)
-        pull_out[i] = pull_out[i] + h * (expected[i] - pairs.vertices[i])
+        rhs_out[i] = rhs_out[i] + h * (expected[i] - pairs.vertices[i])
 
 
 def expected_places(
@@ -100,13 +100,13 @@ def expected_places(
 
 def hold_unseen(
     begin: int, count: int, pairs: Pairs, expected: wp.array, hold: wp.array, matrix_out: wp.array,
-    pull_out: wp.array,
+    rhs_out: wp.array,
 ) -> None:  # fmt: skip
     """Hold what has no points, vertices ``begin .. begin + count`` of all frames; added to what is there.
 
     Args:
         pairs: by vertex, see ``pairs_of``.
         expected: shape (T V,) vec3. hold: shape (T,) float32, weight against one plane; 0 leaves a frame alone.
-        matrix_out: shape (T V,) mat33. pull_out: shape (T V,) vec3.
+        matrix_out: shape (T V,) mat33. rhs_out: shape (T V,) vec3.
     """
-    launch(_hold_unseen, count, [begin, pairs, expected, hold, matrix_out, pull_out], matrix_out.device)
+    launch(_hold_unseen, count, [begin, pairs, expected, hold, matrix_out, rhs_out], matrix_out.device)

@@ -114,7 +114,7 @@ BREAKS = [
           "no gap between a border and its points"),
     Break("warpdef/fit/rest_shape.py", "blend(c.shape_step,", "blend(1.0,", ("refine",),
           "the shape takes a whole step"),
-    Break("kernels/planes.py", "pull = (-w * wp.dot(a, pairs", "pull = (w * wp.dot(a, pairs", ("planes",),
+    Break("kernels/planes.py", "rhs = (-w * wp.dot(a, pairs", "rhs = (w * wp.dot(a, pairs", ("planes",),
           "planes push"),
     Break("kernels/unseen.py", "p + wp.transpose(turn) * (p - q)", "p + turn * (p - q)", ("unseen",),
           "a screw motion goes on the wrong way round"),

@@ -160,14 +160,14 @@ def adj_isometry(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
     d = vertices[:, edges[:, 0]] - vertices[:, edges[:, 1]]
     length = np.linalg.norm(d, axis=2)
     sign = np.sign(np.diff(length, axis=0))
-    pull = np.zeros_like(length)
-    pull[1:] += sign
-    pull[:-1] -= sign
+    signs = np.zeros_like(length)
+    signs[1:] += sign
+    signs[:-1] -= sign
     unit = np.divide(d, length[..., None], out=np.zeros_like(d), where=length[..., None] > 0)
     adj = np.zeros_like(vertices)
     for t in range(len(vertices)):
-        np.add.at(adj[t], edges[:, 0], pull[t, :, None] * unit[t])
-        np.add.at(adj[t], edges[:, 1], -pull[t, :, None] * unit[t])
+        np.add.at(adj[t], edges[:, 0], signs[t, :, None] * unit[t])
+        np.add.at(adj[t], edges[:, 1], -signs[t, :, None] * unit[t])
     return adj
 
 

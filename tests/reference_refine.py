@@ -40,23 +40,23 @@ def rigid_energy(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.n
     return float((rigid_residual(x, y, rotation, edges) ** 2).sum())
 
 
-def rigid_pull(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def rigid_rhs(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Minus half the gradient of ``rigid_energy`` to x."""
-    residual, pull = rigid_residual(x, y, rotation, edges), np.zeros(x.shape)
+    residual, rhs = rigid_residual(x, y, rotation, edges), np.zeros(x.shape)
     for t in range(len(x)):
-        np.add.at(pull[t], edges[:, 0], -residual[t])
-        np.add.at(pull[t], edges[:, 1], residual[t])
-    return pull
+        np.add.at(rhs[t], edges[:, 0], -residual[t])
+        np.add.at(rhs[t], edges[:, 1], residual[t])
+    return rhs
 
 
-def rest_pull(x: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def rest_rhs(x: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Minus half the gradient of ``rigid_energy`` to y at y = 0, over the number of frames."""
     i, j = edges.T
     turned = np.einsum("teba,teb->ea", 0.5 * (rotation[:, i] + rotation[:, j]), x[:, i] - x[:, j]) / len(x)
-    pull = np.zeros(x.shape[1:])
-    np.add.at(pull, i, turned)
-    np.add.at(pull, j, -turned)
-    return pull
+    rhs = np.zeros(x.shape[1:])
+    np.add.at(rhs, i, turned)
+    np.add.at(rhs, j, -turned)
+    return rhs
 
 
 # Planes.
@@ -89,10 +89,10 @@ class Planes:
 
     def normal_equations(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """A (V, 3, 3) and b (V, 3) of the best moves A d = b."""
-        matrix, pull = np.zeros((count, 3, 3)), np.zeros((count, 3))
+        matrix, rhs = np.zeros((count, 3, 3)), np.zeros((count, 3))
         np.add.at(matrix, self.owner, self.w[:, None, None] * self.a[:, :, None] * self.a[:, None, :])
-        np.add.at(pull, self.owner, -(self.w * self.r)[:, None] * self.a)
-        return matrix, pull
+        np.add.at(rhs, self.owner, -(self.w * self.r)[:, None] * self.a)
+        return matrix, rhs
 
 
 def planes(x, m, q, n, owner, reach, agreement: float, share: float = 1.0, mutual: np.ndarray | float = 1.0) -> Planes:
@@ -173,7 +173,7 @@ def refine_round(x, y, rotation, edges, faces, clouds, normals, c) -> tuple[np.n
         x, y, rotation after the round.
     """
     x, count = x.copy(), x.shape[1]
-    pulled = c.rigidity * rigid_pull(x, y, rotation, edges)
+    pulled = c.rigidity * rigid_rhs(x, y, rotation, edges)
     for t, (q, n) in enumerate(zip(clouds, normals, strict=True)):
         m, reach = vertex_normals(x[t], faces), c.reach * spacing(q)
         forth, back = reference.nearest(x[t], q), reference.nearest(q, x[t])
@@ -184,5 +184,5 @@ def refine_round(x, y, rotation, edges, faces, clouds, normals, c) -> tuple[np.n
         x[t] += np.linalg.solve(system, (b + b_asked + pulled[t]).ravel()).reshape(count, 3)
     rotation = fit_rotations(x, y, edges)
     s = c.shape_smoothness
-    best = np.linalg.solve(np.eye(count) + s * laplacian(edges, count), y + s * rest_pull(x, rotation, edges))
+    best = np.linalg.solve(np.eye(count) + s * laplacian(edges, count), y + s * rest_rhs(x, rotation, edges))
     return x, y + c.shape_step * (best - y), rotation

@@ -11,7 +11,7 @@ import witness_refine
 from gradients import assert_gradients_close, finite_differences, gradient_of
 from test_planes import Scene, put, spans
 
-from warpdef.fit.refine import _BORDER_GAP
+from warpdef.fit.pairing import _BORDER_GAP
 from warpdef.kernels.borders import cloud_borders, vertex_borders
 
 STIFFNESS = 0.7
@@ -71,13 +71,13 @@ def test_normal_equations_match_the_twin(edge: Edge, way: str) -> None:
         assert_gradients_close(found, expected)
 
 
-def test_the_pull_is_minus_half_the_gradient(edge: Edge, way: str) -> None:
+def test_the_right_hand_side_is_minus_half_the_gradient(edge: Edge, way: str) -> None:
     """At no move, with directions, weights and pairs held."""
     slope = finite_differences(edge.border_planes(way).energy, np.zeros((edge.count, 3)))
     assert_gradients_close(edge.run(way)[1], -0.5 * slope)
 
 
-def test_the_pull_matches_autodiff(edge: Edge, way: str) -> None:
+def test_the_right_hand_side_matches_autodiff(edge: Edge, way: str) -> None:
     planes, on = edge.border_planes(way), edge.device
     move = wp.zeros(edge.count, dtype=wp.vec3, device=on, requires_grad=True)
     loss = wp.zeros(1, dtype=wp.float32, device=on, requires_grad=True)
@@ -128,8 +128,8 @@ def test_a_straight_edge_is_found_where_the_points_end(device: str, rng: np.rand
         pairs = {"met": reference.nearest(edge.x, cloud), "asked": reference.nearest(cloud, edge.x)}
         edge.index = pairs
         sums = [edge.run(way) for way in pairs]
-        matrix, pull = (np.sum([s[i][:count].sum(axis=0) for s in sums], axis=0) for i in (0, 1))
-        moves.append(pull[1] / matrix[1, 1])
+        matrix, rhs = (np.sum([s[i][:count].sum(axis=0) for s in sums], axis=0) for i in (0, 1))
+        moves.append(rhs[1] / matrix[1, 1])
     # The depth of the nearest point spreads by sqrt(1 / pi - 0.45^2) / sqrt(density), 0.68 spacings, and is another one
     # every 1 / sqrt(density) of the line's 8.
     assert abs(moves[1]) < 3 * 0.68 * spacing / np.sqrt(8 / (2 * spacing))

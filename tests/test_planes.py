@@ -116,8 +116,8 @@ class Scene:
 
     def sums(self, start: float = 0.0) -> tuple[wp.array, wp.array]:
         """A and b of all frames, filled."""
-        matrix, pull = np.full((self.count, 3, 3), start), np.full((self.count, 3), start)
-        return put(matrix, wp.mat33, self.device), put(pull, wp.vec3, self.device)
+        matrix, rhs = np.full((self.count, 3, 3), start), np.full((self.count, 3), start)
+        return put(matrix, wp.mat33, self.device), put(rhs, wp.vec3, self.device)
 
     def planes(self, way: str, agreement: float = AGREEMENT) -> twin.Planes:
         """The same pairs for the twin, those without a partner left out."""
@@ -162,7 +162,7 @@ def test_normal_equations_match_the_twin(scene: Scene, way: str) -> None:
         assert_gradients_close(found, expected)
 
 
-def test_the_pull_is_minus_half_the_gradient(scene: Scene, way: str) -> None:
+def test_the_right_hand_side_is_minus_half_the_gradient(scene: Scene, way: str) -> None:
     """At no move, with planes, weights and pairs held."""
     slope = finite_differences(scene.planes(way).energy, np.zeros((scene.count, 3)))
     assert_gradients_close(scene.run(way)[1], -0.5 * slope)
@@ -170,15 +170,15 @@ def test_the_pull_is_minus_half_the_gradient(scene: Scene, way: str) -> None:
 
 def test_the_matrix_is_half_the_second_derivative(scene: Scene, way: str, rng: np.random.Generator) -> None:
     """The energy is a quadratic: E(d) = E(0) - 2 b . d + d . A d, whatever d is."""
-    planes, (matrix, pull) = scene.planes(way), scene.run(way)
+    planes, (matrix, rhs) = scene.planes(way), scene.run(way)
     np.testing.assert_array_equal(matrix, matrix.transpose(0, 2, 1))
     moves = rng.normal(size=(20, scene.count, 3))
-    found = [-2 * (pull * d).sum() + np.einsum("ia,iab,ib->", d, matrix, d) for d in moves]
+    found = [-2 * (rhs * d).sum() + np.einsum("ia,iab,ib->", d, matrix, d) for d in moves]
     expected = [planes.energy(d) - planes.energy(0 * d) for d in moves]
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
-def test_the_pull_matches_autodiff(scene: Scene, way: str) -> None:
+def test_the_right_hand_side_matches_autodiff(scene: Scene, way: str) -> None:
     planes, on = scene.planes(way), scene.device
     paired = np.flatnonzero(scene.index[way] >= 0)
     other = scene.index[way][paired]
@@ -228,18 +228,18 @@ class Pair:
 
     def run(self, agreement: float = AGREEMENT, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         ways = ("met", "asked")
-        (matrix, pull), asked = (self.scene.run(way, agreement=agreement, share=share) for way in ways)
+        (matrix, rhs), asked = (self.scene.run(way, agreement=agreement, share=share) for way in ways)
         np.testing.assert_array_equal(matrix, asked[0])
-        np.testing.assert_array_equal(pull, asked[1])
-        return matrix[0], pull[0]
+        np.testing.assert_array_equal(rhs, asked[1])
+        return matrix[0], rhs[0]
 
 
 def test_a_pair_by_hand(device: str) -> None:
     """A point 0.5 above along z pulls up; sideways it pulls nothing, but is farther."""
     up = [0, 0, 1]
-    matrix, pull = Pair(device, [0, 0, 0], up, [2, 0, 0.5], up, reach=3.0).run()
+    matrix, rhs = Pair(device, [0, 0, 0], up, [2, 0, 0.5], up, reach=3.0).run()
     weight = np.exp(-4.25 / 9)
-    np.testing.assert_allclose(pull, [0, 0, 0.5 * weight], rtol=1e-6)
+    np.testing.assert_allclose(rhs, [0, 0, 0.5 * weight], rtol=1e-6)
     np.testing.assert_allclose(matrix, weight * np.diag([0, 0, 1]), rtol=1e-6)
 
 
@@ -265,7 +265,7 @@ def test_far_pairs_fade(device: str) -> None:
     found = [Pair(device, [0, 0, d], up, [0, 0, 0], up, reach).run() for d in distances]
     weights = np.array([matrix[2, 2] for matrix, _ in found])
     np.testing.assert_allclose(weights, np.exp(-((distances / reach) ** 2)), rtol=1e-5, atol=1e-12)
-    np.testing.assert_allclose([pull[2] for _, pull in found], -weights * distances, rtol=1e-6)
+    np.testing.assert_allclose([rhs[2] for _, rhs in found], -weights * distances, rtol=1e-6)
     assert weights[0] == 1 and weights[-1] == 0
     assert all(np.isfinite(a).all() for pair in found for a in pair)
 

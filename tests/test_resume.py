@@ -297,7 +297,7 @@ def poison(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, iteration: i
     monkeypatch.setattr(owner, method, poisoned)
 
 
-@pytest.mark.parametrize("name", ["u", "second", "nodes", "shape", "shape_u"])
+@pytest.mark.parametrize("name", ["u", "second_moment", "nodes", "shape", "shape_u"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_steps_without_numbers_are_undone_at_half_the_rate(name: str, bad: float, monkeypatch) -> None:
     """The same as a run whose rate was halved by hand at the iteration that all went back to."""

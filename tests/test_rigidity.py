@@ -1,4 +1,4 @@
-"""Rotations are rotations and the best ones; both pulls are minus half the gradient of the rigid energy."""
+"""Rotations are rotations and the best ones; both right-hand sides are minus half the gradient of the rigid energy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gradients import assert_gradients_close, finite_differences, gradient_of
 
 from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.graphs import mesh_graph
-from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
+from warpdef.kernels.rigidity import fit_rotations, rest_rhs, rigid_rhs
 
 WHOLE = (0, None)
 
@@ -39,19 +39,19 @@ class Mesh:
             fit_rotations(begin, count, self.row, self.column, rest, moving, out)
         return out.numpy().astype(np.float64)
 
-    def pull(self, x, y, rotation, weight: float = 1.0, start: float = 0.0, cuts=WHOLE) -> np.ndarray:
+    def rhs(self, x, y, rotation, weight: float = 1.0, start: float = 0.0, cuts=WHOLE) -> np.ndarray:
         moving, rest, turned = self.put(x), self.put(y), self.put(rotation, wp.mat33)
         out = self.put(np.full(x.shape, start))
         for begin, count in self.spans(cuts, len(x) * self.count):
-            rigid_pull(begin, count, weight, self.row, self.column, rest, turned, moving, out)
+            rigid_rhs(begin, count, weight, self.row, self.column, rest, turned, moving, out)
         return out.numpy()
 
-    def rest_pull(self, x, rotation, cuts=WHOLE, frames=None) -> np.ndarray:
+    def rest_rhs(self, x, rotation, cuts=WHOLE, frames=None) -> np.ndarray:
         moving, turned, out = self.put(x), self.put(rotation, wp.mat33), self.put(np.full(x.shape[1:], np.nan))
         asked = np.arange(len(x)) if frames is None else np.asarray(frames)
         asked = wp.array(asked.astype(np.int32), dtype=wp.int32, device=self.device)
         for begin, count in self.spans(cuts, self.count):
-            rest_pull(begin, count, asked, self.row, self.column, turned, moving, out)
+            rest_rhs(begin, count, asked, self.row, self.column, turned, moving, out)
         return out.numpy()
 
 
@@ -192,39 +192,39 @@ def test_a_single_edge_gets_a_rotation_that_turns_it(device: str, rng: np.random
 # Pulls.
 
 
-def test_rigid_pull_matches_the_twin_and_is_added(mesh: Mesh, state) -> None:
+def test_rigid_rhs_matches_the_twin_and_is_added(mesh: Mesh, state) -> None:
     x, y, rotation = state
-    expected = twin.rigid_pull(x, y, rotation, mesh.edges)
-    assert_gradients_close(mesh.pull(x, y, rotation), expected)
-    assert_gradients_close(mesh.pull(x, y, rotation, weight=0.5, start=2.0), 2.0 + 0.5 * expected)
+    expected = twin.rigid_rhs(x, y, rotation, mesh.edges)
+    assert_gradients_close(mesh.rhs(x, y, rotation), expected)
+    assert_gradients_close(mesh.rhs(x, y, rotation, weight=0.5, start=2.0), 2.0 + 0.5 * expected)
 
 
-def test_rigid_pull_is_minus_half_the_gradient(mesh: Mesh, state) -> None:
+def test_rigid_rhs_is_minus_half_the_gradient(mesh: Mesh, state) -> None:
     x, y, rotation = state
     slope = finite_differences(lambda a: twin.rigid_energy(a, y, rotation, mesh.edges), x)
-    assert_gradients_close(mesh.pull(x, y, rotation), -0.5 * slope)
+    assert_gradients_close(mesh.rhs(x, y, rotation), -0.5 * slope)
 
 
-def test_rest_pull_matches_the_twin(mesh: Mesh, state) -> None:
+def test_rest_rhs_matches_the_twin(mesh: Mesh, state) -> None:
     x, _, rotation = state
-    assert_gradients_close(mesh.rest_pull(x, rotation), twin.rest_pull(x, rotation, mesh.edges))
+    assert_gradients_close(mesh.rest_rhs(x, rotation), twin.rest_rhs(x, rotation, mesh.edges))
 
 
 @pytest.mark.parametrize("frames", [[1], [0, 2], [2, 0, 1]])
 def test_only_frames_asked_say_what_the_shape_is(frames, mesh: Mesh, state) -> None:
     x, _, rotation = state
-    found = mesh.rest_pull(x, rotation, frames=frames)
-    assert_gradients_close(found, twin.rest_pull(x[frames], rotation[frames], mesh.edges))
-    np.testing.assert_array_equal(mesh.rest_pull(x[frames], rotation[frames]), found)
+    found = mesh.rest_rhs(x, rotation, frames=frames)
+    assert_gradients_close(found, twin.rest_rhs(x[frames], rotation[frames], mesh.edges))
+    np.testing.assert_array_equal(mesh.rest_rhs(x[frames], rotation[frames]), found)
 
 
-def test_rest_pull_is_minus_half_the_gradient_at_zero_over_the_frames(mesh: Mesh, state) -> None:
+def test_rest_rhs_is_minus_half_the_gradient_at_zero_over_the_frames(mesh: Mesh, state) -> None:
     x, y, rotation = state
     slope = finite_differences(lambda a: twin.rigid_energy(x, a, rotation, mesh.edges), np.zeros_like(y))
-    assert_gradients_close(mesh.rest_pull(x, rotation), -0.5 * slope / len(x))
+    assert_gradients_close(mesh.rest_rhs(x, rotation), -0.5 * slope / len(x))
 
 
-def test_both_pulls_match_autodiff(mesh: Mesh, state) -> None:
+def test_both_right_hand_sides_match_autodiff(mesh: Mesh, state) -> None:
     x, y, rotation = state
 
     def gradients(rest: np.ndarray) -> list[np.ndarray]:
@@ -240,40 +240,40 @@ def test_both_pulls_match_autodiff(mesh: Mesh, state) -> None:
         tape.backward(loss)
         return [gradient_of(v) for v in values]
 
-    assert_gradients_close(mesh.pull(x, y, rotation), -0.5 * gradients(y)[0])
-    assert_gradients_close(mesh.rest_pull(x, rotation), -0.5 / len(x) * gradients(np.zeros_like(y))[1])
+    assert_gradients_close(mesh.rhs(x, y, rotation), -0.5 * gradients(y)[0])
+    assert_gradients_close(mesh.rest_rhs(x, rotation), -0.5 / len(x) * gradients(np.zeros_like(y))[1])
 
 
 def test_a_rigidly_turned_mesh_is_at_rest(mesh: Mesh, rng: np.random.Generator) -> None:
-    """No pull on x, and the shape itself solves L y = pull."""
+    """Nothing asked of x, and the shape itself solves L y = b."""
     sphere, _ = synthetic.icosphere(1)
     truth = turns(3, rng)
     x = np.stack([sphere @ turn.T + shift for turn, shift in zip(truth, rng.normal(size=(3, 1, 3)), strict=True)])
     rotation = mesh.fit(x, sphere)
     np.testing.assert_allclose(rotation, np.repeat(truth[:, None], mesh.count, axis=1), rtol=0, atol=2e-5)
-    np.testing.assert_allclose(mesh.pull(x, sphere, rotation), 0, atol=2e-5)
+    np.testing.assert_allclose(mesh.rhs(x, sphere, rotation), 0, atol=2e-5)
     expected = twin.laplacian(mesh.edges, mesh.count) @ sphere
-    np.testing.assert_allclose(mesh.rest_pull(x, rotation), expected, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(mesh.rest_rhs(x, rotation), expected, rtol=0, atol=2e-5)
 
 
 def test_edges_of_no_length_and_vertices_without_edges_pull_nothing(device: str) -> None:
     mesh, together = Mesh(np.array([[0, 1]]), 3, device), np.ones((2, 3, 3))
     turned = np.tile(np.eye(3), (2, 3, 1, 1))
-    np.testing.assert_array_equal(mesh.pull(together, together[0], turned, start=4.0), 4.0)
-    np.testing.assert_array_equal(mesh.rest_pull(together, turned), 0)
+    np.testing.assert_array_equal(mesh.rhs(together, together[0], turned, start=4.0), 4.0)
+    np.testing.assert_array_equal(mesh.rest_rhs(together, turned), 0)
 
 
 @pytest.mark.parametrize("cuts", [(0, 42, 84, None), (0, 10, 50, 51, None)], ids=["frames", "anywhere"])
 def test_spans_are_the_whole(cuts, mesh: Mesh, state) -> None:
     x, y, rotation = state
     np.testing.assert_array_equal(mesh.fit(x, y, cuts), mesh.fit(x, y))
-    np.testing.assert_array_equal(mesh.pull(x, y, rotation, cuts=cuts), mesh.pull(x, y, rotation))
-    np.testing.assert_array_equal(mesh.rest_pull(x, rotation, (0, 1, 30, None)), mesh.rest_pull(x, rotation))
+    np.testing.assert_array_equal(mesh.rhs(x, y, rotation, cuts=cuts), mesh.rhs(x, y, rotation))
+    np.testing.assert_array_equal(mesh.rest_rhs(x, rotation, (0, 1, 30, None)), mesh.rest_rhs(x, rotation))
 
 
 def test_a_span_writes_nothing_else(mesh: Mesh, state) -> None:
     x, y, rotation = state
     found = mesh.fit(x, y, (42, 84)).reshape(-1, 9)
     assert np.isfinite(found[42:84]).all() and np.isnan(found[:42]).all() and np.isnan(found[84:]).all()
-    assert (mesh.pull(x, y, rotation, start=7.0, cuts=(42, 84))[[0, 2]] == 7).all()
-    assert np.isnan(mesh.rest_pull(x, rotation, (5, 9))[9:]).all()
+    assert (mesh.rhs(x, y, rotation, start=7.0, cuts=(42, 84))[[0, 2]] == 7).all()
+    assert np.isnan(mesh.rest_rhs(x, rotation, (5, 9))[9:]).all()

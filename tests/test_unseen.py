@@ -85,20 +85,20 @@ def test_holding_matches_the_twin(held: Held) -> None:
         np.testing.assert_allclose(found, fresh + 5.0, rtol=0, atol=1e-5)
 
 
-def test_the_pull_and_the_matrix_are_those_of_the_energy(held: Held, rng: np.random.Generator) -> None:
+def test_the_right_hand_side_and_the_matrix_are_those_of_the_energy(held: Held, rng: np.random.Generator) -> None:
     """E(m) = sum h u |d + m|^2, with h u and the places held: minus half its slope, half its second derivative."""
-    (h, d), (matrix, pull) = held.twin(), held.run()
+    (h, d), (matrix, rhs) = held.twin(), held.run()
 
     def energy(move: np.ndarray) -> float:
         return float((h * ((d + move) ** 2).sum(axis=1)).sum())
 
-    assert_gradients_close(pull, -0.5 * finite_differences(energy, np.zeros_like(d)))
+    assert_gradients_close(rhs, -0.5 * finite_differences(energy, np.zeros_like(d)))
     for move in rng.normal(size=(20, held.count, 3)):
-        found = -2 * (pull * move).sum() + np.einsum("ia,iab,ib->", move, matrix, move)
+        found = -2 * (rhs * move).sum() + np.einsum("ia,iab,ib->", move, matrix, move)
         assert found == pytest.approx(energy(move) - energy(0 * move), rel=1e-4)
 
 
-def test_the_pull_matches_autodiff(held: Held) -> None:
+def test_the_right_hand_side_matches_autodiff(held: Held) -> None:
     """A place is three planes, one across each axis."""
     (h, d), on = held.twin(), held.device
     move = wp.zeros(held.count, dtype=wp.vec3, device=on, requires_grad=True)
@@ -117,8 +117,8 @@ def test_what_lies_on_the_points_is_free_and_what_has_none_is_held(device: str, 
     held.index["met"][:30] = -1
     pair = held.index["met"][31:33]
     held.x[31:33], held.m[31:33] = held.q[pair], held.n[pair]
-    matrix, pull = held.run()
+    matrix, rhs = held.run()
     np.testing.assert_array_equal(matrix[:30], np.tile(np.eye(3), (30, 1, 1)))
-    np.testing.assert_allclose(pull[:30], held.expected[:30] - held.x[:30], rtol=1e-6)
+    np.testing.assert_allclose(rhs[:30], held.expected[:30] - held.x[:30], rtol=1e-6)
     np.testing.assert_allclose(matrix[31:33], 0, atol=1e-6)
-    np.testing.assert_allclose(pull[31:33], 0, atol=1e-5)
+    np.testing.assert_allclose(rhs[31:33], 0, atol=1e-5)

@@ -17,7 +17,7 @@ from warpdef.fit.workers import Team
 from warpdef.kernels.block_cg import BlockSolver
 from warpdef.kernels.pairs import pairs_of
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
-from warpdef.kernels.rigidity import fit_rotations, rest_pull, rigid_pull
+from warpdef.kernels.rigidity import fit_rotations, rest_rhs, rigid_rhs
 from warpdef.memory import INDEX, MATRIX, VECTOR
 
 _RIGIDITY = 0.1
@@ -25,7 +25,7 @@ ROUND = "vertex stage: a round"
 
 
 def refine_cases(bed: Bed) -> list[Case]:
-    """Normals, planes both ways, rotations, pulls and the block solve, on the bed's vertices and their neighbours."""
+    """Normals, planes both ways, rotations, right-hand sides and the block solve, on the vertices of the bed."""
     return [*_planes(bed), *_rigid(bed)]
 
 
@@ -58,21 +58,21 @@ def _planes(bed: Bed) -> list[Case]:
     )
     reach = c.reach * p.measures.spacing
     pairing = (c.agreement, 1.0, p.numbers(reach))
-    matrix, pull = _filled(bed, wp.mat33, total), _filled(bed, wp.vec3, total)
+    matrix, rhs = _filled(bed, wp.mat33, total), _filled(bed, wp.vec3, total)
     mesh, cloud = (flat, normals), (p.cloud, p.normals)
     met = pairs_of(pairing, *mesh, p.vertex_frame, to_cloud, *cloud)
     asked = pairs_of(pairing, *mesh, p.cloud_frame, to_vertex, *cloud)
     tasks = {
         "normals": bed.span_tasks(normals_of, _spans(bed)),
-        "out": bed.span_tasks(lambda a, n: vertex_planes(a, n, met, matrix, pull), _spans(bed)),
-        "back": bed.span_tasks(lambda a, n: cloud_planes(a, n, asked, matrix, pull), p.cloud_offsets),
+        "out": bed.span_tasks(lambda a, n: vertex_planes(a, n, met, matrix, rhs), _spans(bed)),
+        "back": bed.span_tasks(lambda a, n: cloud_planes(a, n, asked, matrix, rhs), p.cloud_offsets),
     }
 
     def answer(which: str) -> tuple[np.ndarray, ...]:
-        for array in (matrix, pull) if which != "normals" else (m,):
+        for array in (matrix, rhs) if which != "normals" else (m,):
             array.zero_()
         run_tasks(tasks[which])
-        return (m.numpy(),) if which == "normals" else (matrix.numpy(), pull.numpy())
+        return (m.numpy(),) if which == "normals" else (matrix.numpy(), rhs.numpy())
 
     at, mesh_normals, points_at, cloud_normals = (on_host(a) for a in (flat, normals, p.cloud, p.normals))
     j, i = on_host(to_cloud), on_host(to_vertex)
@@ -112,29 +112,29 @@ def _rigid(bed: Bed) -> list[Case]:
     rest = wp.clone(frame_of(x, p.transitions.keyframe))
     rotation = _filled(bed, wp.mat33, total).reshape(x.shape)
     fit_rotations(0, total, *mesh, rest, x, rotation)
-    pull, rest_sum = wp.zeros_like(x), _filled(bed, wp.vec3, count)
+    rhs, rest_sum = wp.zeros_like(x), _filled(bed, wp.vec3, count)
     tasks = {
         "rotations": bed.span_tasks(lambda a, n: fit_rotations(a, n, *mesh, rest, x, rotation), _spans(bed)),
-        "pull": bed.span_tasks(lambda a, n: rigid_pull(a, n, 1.0, *mesh, rest, rotation, x, pull), _spans(bed)),
-        "rest": bed.vertex_tasks(lambda a, n: rest_pull(a, n, every, *mesh, rotation, x, rest_sum)),
+        "rhs": bed.span_tasks(lambda a, n: rigid_rhs(a, n, 1.0, *mesh, rest, rotation, x, rhs), _spans(bed)),
+        "rest": bed.vertex_tasks(lambda a, n: rest_rhs(a, n, every, *mesh, rotation, x, rest_sum)),
     }
     i, j = np.repeat(np.arange(count), np.diff(p.mesh.row)), p.mesh.column
     x_numpy, y, fitted = x.numpy(), rest.numpy(), rotation.numpy()
 
-    def turned_pull() -> np.ndarray:
-        pull.zero_()
-        run_tasks(tasks["pull"])
-        return pull.numpy()
+    def turned_rhs() -> np.ndarray:
+        rhs.zero_()
+        run_tasks(tasks["rhs"])
+        return rhs.numpy()
 
     def rotations() -> np.ndarray:
         run_tasks(tasks["rotations"])
         return rotation.numpy()
 
-    def rest_pulls() -> np.ndarray:
+    def rest_rhs_found() -> np.ndarray:
         run_tasks(tasks["rest"])
         return rest_sum.numpy()
 
-    def pull_numpy(workers: int) -> np.ndarray:
+    def rhs_numpy(workers: int) -> np.ndarray:
         turned = 0.5 * np.einsum("teab,eb->tea", fitted[:, i] + fitted[:, j], y[i] - y[j])
         return np.stack([add_rows(i, r, count) for r in turned - (x_numpy[:, i] - x_numpy[:, j])])
 
@@ -151,25 +151,25 @@ def _rigid(bed: Bed) -> list[Case]:
             answer=rotations, peers=[rotations_peer], tolerance=1e-2,
         ),
         Case(
-            "rigid pull", "vertices", total, total * (3 * VECTOR + MATRIX) + edge, tasks["pull"],
-            answer=turned_pull, peers=[Peer("numpy", pull_numpy)],
+            "rigid right-hand side", "vertices", total, total * (3 * VECTOR + MATRIX) + edge, tasks["rhs"],
+            answer=turned_rhs, peers=[Peer("numpy", rhs_numpy)],
         ),
         Case(
-            "rest pull", "vertices", total, total * (VECTOR + MATRIX) + edge, tasks["rest"],
-            answer=rest_pulls, peers=[Peer("numpy", rest_numpy)],
+            "rest right-hand side", "vertices", total, total * (VECTOR + MATRIX) + edge, tasks["rest"],
+            answer=rest_rhs_found, peers=[Peer("numpy", rest_numpy)],
         ),
-        _block_cg(bed, turned_pull().copy(), c.damping),
+        _block_cg(bed, turned_rhs().copy(), c.damping),
     ]  # fmt: skip
 
 
-def _block_cg(bed: Bed, pull: np.ndarray, damping: float) -> Case:
+def _block_cg(bed: Bed, given: np.ndarray, damping: float) -> Case:
     """Every vertex held across its normal only, as one residual each would."""
     p, c = bed.problem, bed.problem.config.refine
     frames, count = p.frame_count, p.vertex_count
     normal = np.stack([vertex_normals_numpy(x[None], p.faces)[0] for x in bed.objective.vertices.numpy()])
     blocks = np.einsum("tva,tvb->tvab", normal, normal).astype(np.float32)
     matrix = wp.array(blocks, dtype=wp.mat33, ndim=2, device=bed.device)
-    rhs = wp.array(pull.astype(np.float32), dtype=wp.vec3, ndim=2, device=bed.device)
+    rhs = wp.array(given.astype(np.float32), dtype=wp.vec3, ndim=2, device=bed.device)
     moves = wp.zeros_like(rhs)
     solver = BlockSolver(p.mesh, frames, c.tolerance, c.iterations_max, bed.device)
     tasks = bed.frame_tasks(lambda a, b: solver.solve(a, b, _RIGIDITY, damping, matrix, rhs, moves))
@@ -180,7 +180,7 @@ def _block_cg(bed: Bed, pull: np.ndarray, damping: float) -> Case:
 
     peer = Peer(
         "scipy cg, block Jacobi",
-        lambda workers: block_cg_scipy(blocks, p.mesh, _RIGIDITY, damping, pull, c.tolerance),
+        lambda workers: block_cg_scipy(blocks, p.mesh, _RIGIDITY, damping, given, c.tolerance),
     )
     size = frames * count * (MATRIX + 2 * VECTOR)
     # Both stop at the same residual; the solutions differ by at most the condition number times that.

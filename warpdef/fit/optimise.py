@@ -23,6 +23,8 @@ from warpdef.kernels.motion import template_gradient
 from warpdef.kernels.schedule import SCHEDULE_SIZE, advance
 from warpdef.kernels.vectors import clear_nodes, copy_vectors
 
+_SOLVES = ("grid_gradient", "grid_value", "shape_gradient", "shape_value")  # whose last solutions are state
+
 
 class Optimiser:
     """State and phases of the descent on one problem.
@@ -56,7 +58,9 @@ class Optimiser:
         self._not_finite = wp.zeros(1, dtype=wp.int32, device=device)
         self._kept: dict[str, wp.array] = {}
         self._kept_done = 0
-        checks = [partial(flag_not_finite, a, self._not_finite) for name, a in self._state().items() if name != "step"]
+        checks = [
+            partial(flag_not_finite, a, self._not_finite) for name, a in self._state().items() if name != "iteration"
+        ]
         self._check = Iteration([Phase("check", checks)], device, team, capture=False)
         self._warmup = Iteration(self._phases(warmup=True), device, team, capture)
         self._full = Iteration(self._phases(warmup=False), device, team, capture)
@@ -79,10 +83,10 @@ class Optimiser:
 
     def _state(self) -> dict[str, wp.array]:
         g, s = self.grids, self.shape
-        state = {"step": self._iteration, "u": g.u, "nodes": g.x, "shape_u": s.u, "shape": s.x}
-        state |= {"first": g.first_moment, "second": g.second_moment}
-        state |= {"shape_first": s.first_moment, "shape_second": s.second_moment}
-        for name, solver in zip(("pull_grid", "push_grid", "pull_shape", "push_shape"), self._solvers(), strict=True):
+        state = {"iteration": self._iteration, "u": g.u, "nodes": g.x, "shape_u": s.u, "shape": s.x}
+        state |= {"first_moment": g.first_moment, "second_moment": g.second_moment}
+        state |= {"shape_first_moment": s.first_moment, "shape_second_moment": s.second_moment}
+        for name, solver in zip(_SOLVES, self._solvers(), strict=True):
             state |= {f"{name}_{i}": a for i, a in enumerate(solver.memory())}
         return state
 
@@ -132,7 +136,7 @@ class Optimiser:
             raise ValueError("expected the state of the same problem")
         for name, array in mine.items():
             array.assign(state[name])
-        self.done = int(state["step"][0])
+        self.done = int(state["iteration"][0])
         self.slow_down(rate_scale)
         self.keep()
 

@@ -32,7 +32,7 @@ from warpdef.fit.sobolev import SolveReport, note_solve
 from warpdef.fit.unseen import Unseen
 from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.block_cg import BlockSolver
-from warpdef.kernels.rigidity import fit_rotations, rigid_pull
+from warpdef.kernels.rigidity import fit_rotations, rigid_rhs
 from warpdef.kernels.vectors import add_scaled
 
 _SETTLED = 8  # rounds after which a frame shows whether it lost a limb
@@ -169,7 +169,7 @@ class Refinement:
         self.pairing.equations(first, last, *sums)
         if self.unseen:
             self.unseen.hold(first, last, self.pairing, *sums)
-        rigid_pull(begin, count, self.rigidity, *self._edges, self.shape.places, self.rotation, o.vertices, self._rhs)
+        rigid_rhs(begin, count, self.rigidity, *self._edges, self.shape.places, self.rotation, o.vertices, self._rhs)
         self._solver.solve(first, last, self.rigidity, c.damping, self._matrix, self._rhs, self._move)
         add_scaled(begin, count, 1.0, self._move.flatten(), o.vertices.flatten())
         self._fit_rotations(first, last)

@@ -11,7 +11,7 @@ from warpdef.device import frame_of
 from warpdef.fit.problem import Problem
 from warpdef.fit.sobolev import SolveReport, note_solve
 from warpdef.kernels.cg import ConjugateGradients
-from warpdef.kernels.rigidity import rest_pull
+from warpdef.kernels.rigidity import rest_rhs
 from warpdef.kernels.vectors import add_scaled, blend, copy_vectors
 
 _TOLERANCE = 1e-4
@@ -53,7 +53,7 @@ class RestShape:
 
     def ask(self, first: int, last: int) -> None:
         """What the frames say of the edges of vertices ``first .. last``."""
-        rest_pull(first, last - first, self._telling, *self._edges, self._rotation, self._vertices, self._rhs)
+        rest_rhs(first, last - first, self._telling, *self._edges, self._rotation, self._vertices, self._rhs)
 
     def solve(self) -> None:
         """(I + s L) y = y_old + s b: the optimum L y = b of the right-hand side b, at the cost of s^-1 of staying."""

@@ -169,7 +169,7 @@ class FitRun:
     def _save(self) -> None:
         o, r = self.optimiser, self.refinement
         facts: dict[str, Any] = {
-            "iteration": int(o.kept()["step"][0]),
+            "iteration": int(o.kept()["iteration"][0]),
             "iterations": o.iterations,
             "rate_scale": o.rate_scale,
             "undone": self._undone,
