@@ -182,3 +182,18 @@ def test_the_figure_without_a_meshing_library_is_closed_and_outward() -> None:
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6 > 0.05  # cubic metres
     assert np.abs(body_distance(vertices)).max() < 2e-3
+
+
+def test_both_stages_can_be_timed_call_by_call(tmp_path: Path) -> None:
+    """The one part that stands on the stages' own classes, at its tiniest."""
+    from contextlib import closing
+
+    from hour_fits import Job, Source, _Bench, _config, make_work
+    from hour_job import sized
+
+    job = Job("cpu", True, tmp_path)
+    work = make_work(Source("", job.truth(3)), sized(job.size, frames=3, points=200))
+    bench = _Bench(job, work, _config(job, work.keyframe, chain=True, warmup=1))
+    with closing(bench.team):
+        times, (rounds, settled) = bench.iterations(2), bench.rounds(1)
+    assert len(times) == 2 and len(rounds) == 1 and min(*times, *rounds, settled) > 0

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpdef.device import find_device, usable_cores
-from warpdef.errors import DeviceError
+from warpdef.device import usable_cores
 from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.levels import node8
 from warpdef.kernels.schedule import advance
@@ -149,20 +148,6 @@ def test_a_captured_graph_does_what_plain_launches_do() -> None:
             iteration.run()
         found.append((int(step.numpy()[0]), schedule.numpy().tolist()))
     assert found[0] == found[1] and found[0][0] == 5
-
-
-def test_devices() -> None:
-    assert find_device("cpu").is_cpu
-    assert find_device("auto").is_cuda == wp.is_cuda_available()
-    for name in ("gpu", ""):
-        with pytest.raises(DeviceError, match="--device: expected one of auto, cpu.*, got"):
-            find_device(name)
-    if not wp.is_cuda_available():
-        for name in ("cuda", "cuda:99"):
-            with pytest.raises(
-                DeviceError, match=f"--device: expected a CUDA device for {name}, but .*, or take --device"
-            ):
-                find_device(name)
 
 
 def test_there_is_a_core() -> None:

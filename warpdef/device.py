@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes.util
+import ctypes
 import logging
 import os
+import re
 from typing import cast
 
 import numpy as np
@@ -15,6 +16,10 @@ from warpdef.kernel_cache import ensure_cache
 from warpdef.kernels.ways import Way as Way
 from warpdef.kernels.ways import going as going
 from warpdef.kernels.ways import way_of as way_of
+
+DRIVER_RELEASES = {13: "R580"}
+"""First release of NVIDIA's driver for Linux that serves a major version of CUDA."""
+_told: list[str] = []
 
 
 def start_warp() -> None:
@@ -36,28 +41,78 @@ def start_warp() -> None:
 
 
 def _has_driver() -> bool:
-    return ctypes.util.find_library("cuda") is not None
+    for name in ("libcuda.so.1", "libcuda.so", "nvcuda.dll"):
+        try:
+            ctypes.CDLL(name)
+            return True
+        except OSError:
+            continue
+    return False
 
 
 def find_device(name: str) -> wp.Device:
     """``auto`` (the first CUDA device, else the CPU), ``cpu``, ``cuda`` or ``cuda:N``.
 
+    Where ``auto`` takes the CPU although there is a driver, the logger ``warpdef`` says why, once.
+
     Raises:
-        DeviceError: no such device here.
+        DeviceError: no such device here; it says which there are, or what the driver lacks.
     """
     start_warp()
-    if name == "auto":
-        return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
     there = [d.alias for d in wp.get_devices()]
+    devices = [alias for alias in there if alias != "cpu"]
+    if name == "auto":
+        if not devices and _has_driver():
+            _tell_once(f"--device auto takes the CPU: {why_no_cuda()}")
+        return wp.get_device(devices[0] if devices else "cpu")
     wanted = "cuda:0" if name == "cuda" else name
-    if wanted not in there and wanted.startswith("cuda") and not wp.is_cuda_available():
-        lacking = "NVIDIA's driver is not installed (no libcuda)" if not _has_driver() else "the driver shows no device"
+    if wanted in there:
+        return wp.get_device(wanted)
+    if not re.fullmatch(r"cuda(:\d+)?", name):
         raise DeviceError(
-            f"--device: expected a CUDA device for {name}, but {lacking}; mend that, or take --device cpu"
+            f"--device: expected one of auto, {', '.join(there)}, got {name or 'nothing'}; take one that is there"
         )
-    if wanted not in there:
-        raise DeviceError(f"--device: expected one of auto, {', '.join(there)}, got {name}; take one that is there")
-    return wp.get_device(wanted)
+    if not devices:
+        raise DeviceError(
+            f"--device: expected a CUDA device for {name}, but {why_no_cuda()}; mend that, or take --device cpu"
+        )
+    count = "1 CUDA device" if len(devices) == 1 else f"{len(devices)} CUDA devices"
+    raise DeviceError(
+        f"--device: expected one of {', '.join(devices)}, got {name}: {count} here, counted from 0{_hidden()}"
+    )
+
+
+def why_no_cuda() -> str:
+    """Why Warp shows no CUDA device, with the versions that matter. Call it where it shows none."""
+    built, driver = wp.get_cuda_toolkit_version(), wp.get_cuda_driver_version()
+    if built is None:
+        return f"Warp {wp.__version__} as installed here is built without CUDA"
+    # Within a major version any driver serves (CUDA's minor-version compatibility).
+    release = DRIVER_RELEASES.get(built[0])
+    needed = f"a driver for CUDA {built[0]}.0 or later" + (f" ({release} or later)" if release else "")
+    if not _has_driver():
+        return f"NVIDIA's driver is not installed (no libcuda); Warp {wp.__version__} needs {needed}"
+    if driver is None:
+        return f"NVIDIA's driver is installed but does not start: see what nvidia-smi says{_hidden()}"
+    if driver < (built[0], 0):
+        return f"NVIDIA's driver is for CUDA {driver[0]}.{driver[1]}, and Warp {wp.__version__} needs {needed}"
+    return f"the driver (CUDA {driver[0]}.{driver[1]}) shows no device{_hidden()}"
+
+
+def _hidden() -> str:
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    return "" if visible is None else f" (CUDA_VISIBLE_DEVICES is {visible!r})"
+
+
+def _tell_once(message: str) -> None:
+    if message not in _told:
+        _told.append(message)
+        logging.getLogger("warpdef").warning("warpdef: warning: %s", message)
+
+
+def device_warnings() -> list[str]:
+    """What there was to say of devices in this process, for reports."""
+    return list(_told)
 
 
 def on_host(array: wp.array) -> np.ndarray:

@@ -17,7 +17,7 @@ import warp as wp
 
 import warpdef
 from warpdef.config import Config
-from warpdef.device import team_size
+from warpdef.device import device_warnings, team_size
 from warpdef.errors import MissingPackageError
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
@@ -192,7 +192,7 @@ def _report(
     optimiser, refinement = run.optimiser, run.refinement
     device = optimiser.problem.device
     stages, vertex_stage = {"sobolev": optimiser.solves}, None
-    warnings = [*cache_warnings(), *sequence.warnings, *chosen.warnings, *run.warnings]
+    warnings = [*cache_warnings(), *device_warnings(), *sequence.warnings, *chosen.warnings, *run.warnings]
     warnings += optimiser.solves.warning("sobolev.iterations_max")
     if refinement is not None:
         stages["refine"] = refinement.solves
