@@ -78,7 +78,7 @@ def view(
         azimuth: Where the camera stands, degrees about the up axis.
         elevation: How high it stands, degrees above the ground.
         zoom: How much nearer than where the whole motion is seen.
-        size: Width and height of window or pictures, as 1280x720.
+        size: Width and height of window or pictures, as 1280x720; the largest tile of a contact sheet.
         screenshot: Write a picture, .png or .jpg.
         sheet: Make the picture a contact sheet of this many frames.
         movie: Write a movie, .gif, or .mp4 with the extra [movie].
@@ -174,8 +174,9 @@ def _write_pictures(
     turntable: bool,
     stand: Stand,
 ) -> None:
-    from warpdef.apps.viewer.movie import contact_sheet, save_picture, write_movie
+    from warpdef.apps.viewer.movie import save_picture, write_movie
     from warpdef.apps.viewer.scene import Scene
+    from warpdef.apps.viewer.sheet import contact_sheet
 
     with clean_stdout():
         # mp4 wants even numbers of pixels.
@@ -185,7 +186,7 @@ def _write_pictures(
             started = time.perf_counter()
             with clean_stdout():
                 scene.show(frame)
-                save_picture(contact_sheet(scene, sheet) if sheet else scene.picture(), screenshot)
+                save_picture(contact_sheet(scene, sheet, size) if sheet else scene.picture(), screenshot)
             _report(screenshot, started, f"{min(sheet, len(content))} frames" if sheet else f"frame {frame}")
         if movie is not None:
             started = time.perf_counter()

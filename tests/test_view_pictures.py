@@ -96,10 +96,21 @@ def test_colors_of_its_own_are_shown(out):
 
 def test_a_contact_sheet(out):
     sheet = shot(out, "--sheet", "5", "--color", "plain")
-    assert sheet.shape == (240, 480, 3)
-    tiles = [sheet[y : y + 120, x : x + 160] for y in (0, 120) for x in (0, 160, 320)]
+    assert sheet.shape == (177, 320, 3)  # two tiles in a row, as wide as --size says, and as flat as the bar
+    tiles = [sheet[y : y + 59, x : x + 160] for y in (0, 59, 118) for x in (0, 160)]
     assert differs(tiles[0], tiles[4]) > 0.01 and (tiles[5] == 255).all()
-    np.testing.assert_array_equal(tiles[2], shot(out, "--frame", "2", "--color", "plain"))
+    bodies = [(tile[20:] < 240).any(axis=2) for tile in tiles[:5]]
+    assert all(body.any() and not body[:, [0, -1]].any() and not body[-1].any() for body in bodies)
+    assert max(np.ptp(np.nonzero(body.any(axis=0))[0]) for body in bodies) > 0.6 * 160
+
+
+def test_a_sheet_has_one_bar(out):
+    plain, measured = shot(out, "--sheet", "2", "--color", "plain"), shot(out, "--sheet", "2", "--color", "error")
+    assert measured.shape[1:] == plain.shape[1:] and 40 < len(measured) - len(plain) < 100
+    foot = measured[len(plain) :]
+    # The map's colours from one end to the other, and nowhere else in what is written.
+    colored = np.ptp(foot, axis=2).max(axis=0) > 60
+    assert 0.4 * foot.shape[1] < colored.sum() < 0.8 * foot.shape[1]
 
 
 def test_a_gif(out, tmp_path):

@@ -1,4 +1,4 @@
-"""What stands in a scene: a surface with its colour bar, a cloud. Made once; from frame to frame only points move."""
+"""What stands in a scene: a surface, a cloud. Made once; from frame to frame only points move."""
 
 from __future__ import annotations
 
@@ -9,32 +9,38 @@ if TYPE_CHECKING:
     import numpy as np
 
     from warpdef.apps.viewer.content import Pane
-    from warpdef.vertex_measures import VertexMeasures
+    from warpdef.apps.viewer.scales import Scales
 
 PLAIN, MATERIAL = "plain", "template"
-TEXT_COLOR = "#20242c"
-_GREY, _CLOUD, _UNKNOWN = "#c3c8d2", "#46566b", "#9a9a9a"
+_GREY, _CLOUD = "#c3c8d2", "#46566b"
 _EDGE = "#3a4250"
 
 
 @dataclass
 class Look:
-    """What is switched on. color: ``plain``, ``template`` or a measure."""
+    """What is switched on.
+
+    color: ``plain``, ``template`` or a measure
+    clim:  ends of that measure's bar; None: from the values
+    cmap:  matplotlib's name of the measures' colour map; empty: the usual ones
+    """
 
     color: str = MATERIAL
     cloud: bool = False
     trajectories: bool = False
     wireframe: bool = False
     smooth: bool = True
+    clim: tuple[float, float] | None = None
+    cmap: str = ""
 
 
 class SurfaceActor:
-    """One pane's mesh, its colours, and its colour bar."""
+    """One pane's mesh and its colours."""
 
-    def __init__(self, plotter: Any, index: int, pane: Pane, unit: str) -> None:
+    def __init__(self, plotter: Any, pane: Pane, scales: Scales) -> None:
         import pyvista
 
-        self._index, self._pane, self._unit = index, pane, unit
+        self._pane, self._scales = pane, scales
         vertices, faces = self._surface(0)
         self._data = pyvista.PolyData()
         self._faces: np.ndarray | None = None
@@ -49,10 +55,6 @@ class SurfaceActor:
         )
         self.actor.mapper.SetScalarModeToUsePointFieldData()
         self.actor.prop.edge_color, self.actor.prop.line_width, self.actor.prop.edge_opacity = _EDGE, 1.0, 0.6
-        self._bar: Any = None
-        self._plotter = plotter
-        self._tables: dict[str, Any] = {}
-        self._shown = ""
 
     def _surface(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         found = self._pane.surface(frame)
@@ -93,8 +95,8 @@ class SurfaceActor:
         if colouring is not None and color in colouring.measures:
             measured = True
             self._data.point_data["value"] = colouring.values(color, frame).astype("f4")
-            mapper.lookup_table = self.table(color)
-            mapper.scalar_range = self.table(color).scalar_range
+            mapper.lookup_table = self._scales.table(color)
+            mapper.scalar_range = self._scales.table(color).scalar_range
             mapper.SetColorModeToMapScalars()
             mapper.SelectColorArray("value")
         elif color == MATERIAL:
@@ -106,7 +108,6 @@ class SurfaceActor:
         mapper.scalar_visibility = measured or color == MATERIAL
         # A number's colour must be the bar's, not a shade of it.
         self.actor.prop.lighting = not measured
-        self._show_bar(color if measured else "")
 
     def _material(self, frame: int) -> np.ndarray:
         from warpdef.apps.viewer.colouring import material_colors
@@ -116,60 +117,19 @@ class SurfaceActor:
         moving = self._pane.moving
         return material_colors(self._surface(frame)[0] if moving is None else moving.vertices[self._pane.keyframe])
 
-    def _show_bar(self, color: str) -> None:
-        from warpdef.vertex_measures import MEASURES
-
-        if color == self._shown:
-            return
-        self._shown = color
-        if self._bar is None and color:
-            self._plotter.subplot(0, self._index)
-            self._bar = self._plotter.add_scalar_bar(
-                title=f"bar {id(self)}",
-                mapper=self.actor.mapper,
-                vertical=False,
-                color=TEXT_COLOR,
-                fmt="%.3g",
-                n_labels=5,
-            )
-            # Above the slider's place.
-            self._bar.SetPosition(0.2, 0.06)
-            self._bar.SetWidth(0.6)
-            self._bar.SetHeight(0.095)
-            self._bar.SetUnconstrainedFontSize(True)
-            self._bar.SetVerticalTitleSeparation(6)
-            for text in (self._bar.GetTitleTextProperty(), self._bar.GetLabelTextProperty()):
-                text.SetFontSize(13)
-        if self._bar is not None:
-            self._bar.SetVisibility(bool(color))
-            if color:
-                self._bar.SetLookupTable(self._tables[color])
-                title = MEASURES[color].label.format(self._unit)
-                title += "" if color == "confidence" else " (ends at the 99th percentile)"
-                title += "\n "  # room for the labels
-                self._bar.SetTitle(title)
-
-    def table(self, color: str) -> Any:
-        """Numbers to colours, the same in all frames."""
-        if color not in self._tables:
-            assert self._pane.colouring is not None  # it has measured what it is to show
-            self._tables[color] = _lookup_table(color, self._pane.colouring)
-        return self._tables[color]
-
     def forget(self) -> None:
-        """The vertices are others now: ranges and colours are taken anew."""
-        self._tables.clear()
+        """The vertices are others now: colours are taken anew."""
         self._colors = None
 
 
 class CloudActor:
     """One pane's input cloud; coloured by its distance to the mesh where that is what the mesh shows."""
 
-    def __init__(self, plotter: Any, pane: Pane) -> None:
+    def __init__(self, plotter: Any, pane: Pane, scales: Scales) -> None:
         import pyvista
 
         assert pane.clouds is not None  # a pane without clouds gets none here
-        self._clouds, self._colouring = pane.clouds, pane.colouring
+        self._clouds, self._colouring, self._scales = pane.clouds, pane.colouring, scales
         self._frames: dict[int, Any] = {}
         self._spacing = point_spacing(pane.clouds[0])
         self.actor = plotter.add_mesh(
@@ -198,8 +158,8 @@ class CloudActor:
         if look.color == "error" and surface is not None and colouring is not None:
             measured = True
             data.point_data["error"] = colouring.point_errors(frame).astype("f4")
-            mapper.lookup_table = surface.table("error")
-            mapper.scalar_range = surface.table("error").scalar_range
+            mapper.lookup_table = self._scales.table("error")
+            mapper.scalar_range = self._scales.table("error").scalar_range
             mapper.SetScalarModeToUsePointFieldData()
             mapper.SelectColorArray("error")
         mapper.scalar_visibility = measured
@@ -222,14 +182,3 @@ def point_spacing(points: np.ndarray, samples: int = 100) -> float:
         away_sq[k] = np.inf
         nearest.append(float(away_sq.min()) ** 0.5)
     return float(np.median(nearest))
-
-
-def _lookup_table(color: str, colouring: VertexMeasures) -> Any:
-    import pyvista
-
-    from warpdef.vertex_measures import MEASURES
-
-    table = pyvista.LookupTable("coolwarm" if MEASURES[color].diverging else "viridis", n_values=256)
-    table.scalar_range = colouring.limits(color)
-    table.nan_color = _UNKNOWN
-    return table

@@ -11,12 +11,8 @@ if TYPE_CHECKING:
 
 VIEW_ANGLE = 30.0
 """Vertical opening of the camera, degrees."""
-LIFT = 0.1
-"""How far the scene is raised, in halves of the height: slider and colour bar stand below it, the title above."""
 MARGIN = 1.28
-"""Room above and below the motion."""
-SIDE_MARGIN = 1.06
-"""Room to its left and right, where nothing is written."""
+"""Room above and below the motion in a page, as a factor of its height."""
 AZIMUTH, ELEVATION = 25.0, 12.0
 """The usual place, degrees."""
 
@@ -28,6 +24,20 @@ class Stand:
     azimuth: float = AZIMUTH
     elevation: float = ELEVATION
     zoom: float = 1.0
+
+
+@dataclass(frozen=True)
+class Room:
+    """Parts of a pane's height above and below the motion, where something is written, and of its width beside it."""
+
+    top: float = 0.06
+    bottom: float = 0.16
+    side: float = 0.03
+
+    @property
+    def lift(self) -> float:
+        """How far the motion's middle is above the pane's, in halves of the height."""
+        return self.bottom - self.top
 
 
 @dataclass(frozen=True)
@@ -72,10 +82,11 @@ def fit_camera(
     aspect: float,
     *,
     stand: Stand | None = None,
+    room: Room | None = None,
     turn: float = 0.0,
     all_round: bool = False,
 ) -> Camera:
-    """The nearest camera that sees all points, each in its own depth, with ``MARGIN`` around them.
+    """The nearest camera that sees all points, each in its own depth, with room around them.
 
     A point (x, y, z) in the camera's axes is within the opening k of a camera at (cx, cy, cz) if
     |x - cx| <= k (cz - z); so cz >= (max(x + k z) + max(-x + k z)) / (2 k), and cx halves what is over.
@@ -85,14 +96,15 @@ def fit_camera(
         up: "y" or "z".
         aspect: width over height of a pane.
         stand: None: the usual one.
+        room: None: the usual one.
         turn: degrees about the up axis from there.
         all_round: stand so far that the points are seen from every side, about one focus, for a turntable.
     """
     import numpy as np
 
-    stand = stand or Stand()
+    stand, room = stand or Stand(), room or Room()
     opening = math.tan(math.radians(VIEW_ANGLE / 2.0))
-    openings = (opening * aspect / SIDE_MARGIN, opening / MARGIN)
+    openings = (opening * aspect * (1.0 - 2.0 * room.side), opening * (1.0 - room.top - room.bottom))
     centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
     distance, aside = 0.0, np.zeros(2)
     angles = [float(a) for a in range(0, 360, 15)] if all_round else [stand.azimuth + turn]
@@ -116,3 +128,15 @@ def fit_camera(
 def pixels_per_length(camera: Camera, height: int) -> float:
     """How many pixels of a picture of that height a length of 1 has at the camera's focus."""
     return height / (2.0 * camera.distance * math.tan(math.radians(VIEW_ANGLE / 2.0)))
+
+
+def seen_aspect(points: np.ndarray, up: str, stand: Stand, room: Room) -> float:
+    """Width over height of the narrowest pane in which points, shape (N, 3), are as large as in any wider one."""
+    # Wider than all of it, the height alone says where the camera stands.
+    wide = fit_camera(points, up, 100.0, stand=stand, room=room).distance
+    low, high = 0.01, 100.0
+    while high - low > 0.005 * low:
+        middle = math.sqrt(low * high)
+        fits = fit_camera(points, up, middle, stand=stand, room=room).distance <= wide * 1.001
+        low, high = (low, middle) if fits else (middle, high)
+    return high

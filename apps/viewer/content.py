@@ -31,6 +31,7 @@ class Pane:
     colors:    of the vertices, where there are any of their own  (V, 3) uint8
     colouring: the measures that the mesh can be coloured by
     keyframe:  frame that the mesh was built on
+    against:   what the error is the distance to
     """
 
     title: str
@@ -39,6 +40,7 @@ class Pane:
     colors: np.ndarray | None = None
     colouring: VertexMeasures | None = None
     keyframe: int = 0
+    against: str = ""
 
     def surface(self, frame: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Vertices (V, 3) and faces (F, 3) of a frame."""
@@ -208,4 +210,5 @@ def _run_pane(path: Path, run, title: str, chosen: list[int], origin: np.ndarray
     keyframe = int(np.abs(np.array(chosen) - run.keyframe).argmin())
     confidence = None if run.confidence is None else run.confidence[chosen]
     colouring = VertexMeasures(meshes, keyframe, points, truth, confidence)
-    return Pane(title, meshes, points, colors, colouring, keyframe)
+    against = "the truth" if truth is not None else "the input's points" if points is not None else ""
+    return Pane(title, meshes, points, colors, colouring, keyframe, against)

@@ -1,4 +1,4 @@
-"""Pictures without a window: a screenshot, a contact sheet, a movie, a turntable."""
+"""Files without a window: a screenshot, a movie, a turntable."""
 
 from __future__ import annotations
 
@@ -48,28 +48,6 @@ def save_picture(picture: np.ndarray, path: Path) -> None:
 
     with replacing(path) as stream:
         Image.fromarray(picture).save(stream, format="PNG" if path.suffix.lower() == ".png" else "JPEG")
-
-
-def contact_sheet(scene: Scene, count: int) -> np.ndarray:
-    """``count`` frames, evenly spread, in rows; shape (height, width, 3) uint8."""
-    import numpy as np
-
-    frames = sheet_frames(len(scene.content), count)
-    pictures = []
-    for frame in frames:
-        scene.show(frame)
-        pictures.append(scene.picture())
-    columns = math.ceil(math.sqrt(len(pictures)))
-    blank = np.full_like(pictures[0], 255)
-    rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
-    rows[-1] = rows[-1] + [blank] * (columns - len(rows[-1]))
-    return np.concatenate([np.concatenate(row, axis=1) for row in rows])
-
-
-def sheet_frames(total: int, count: int) -> list[int]:
-    """At most ``count`` of ``total`` frames, first and last among them, each once."""
-    count = min(count, total)
-    return [round(k * (total - 1) / (count - 1)) for k in range(count)] if count > 1 else [0]
 
 
 def movie_steps(total: int, fps: float, turntable: bool) -> list[tuple[int, float]]:

@@ -5,10 +5,14 @@ It draws into a window, into pictures and, from a running reconstruction, whatev
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
-from warpdef.apps.viewer.actors import TEXT_COLOR, CloudActor, Look, SurfaceActor
-from warpdef.apps.viewer.camera import LIFT, VIEW_ANGLE, Stand, fit_camera, pixels_per_length
+from warpdef.apps.viewer.actors import CloudActor, Look, SurfaceActor
+from warpdef.apps.viewer.camera import VIEW_ANGLE, Room, Stand, fit_camera, pixels_per_length, seen_aspect
+from warpdef.apps.viewer.captions import BAR, Captions, ColorBar, room_for, tile_letter_size
+from warpdef.apps.viewer.flat import TEXT_COLOR
+from warpdef.apps.viewer.scales import Scales
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,6 +45,9 @@ class Scene:
         self.look = look or Look()
         self.stand = stand or Stand()
         self.frame = 0
+        self.tile = False
+        """Whether this is a tile of a contact sheet, with its frame's number and no bar."""
+        self._window = not off_screen
         # Its methods that PyVista wraps are not described as methods.
         self.plotter: Any = pyvista.Plotter(
             off_screen=off_screen, shape=(1, len(content.panes)), border=False, window_size=list(size)
@@ -48,14 +55,14 @@ class Scene:
         self.surfaces: list[SurfaceActor | None] = []
         self.clouds: list[CloudActor | None] = []
         self.trails: list[Any] = [None] * len(content.panes)
-        self._titles: list[Any] = []
+        self.scales = Scales(content, self.look.color, self.look.clim, self.look.cmap)
         self._help: Any = None
         self.plotter.set_background("white")
         for index, pane in enumerate(content.panes):
             self.plotter.subplot(0, index)
-            self.surfaces.append(None if pane.meshes is None else SurfaceActor(self.plotter, index, pane, content.unit))
-            self.clouds.append(None if pane.clouds is None else CloudActor(self.plotter, pane))
-            self._titles.append(self.plotter.add_text(" ", position="upper_left", font_size=9, color=TEXT_COLOR))
+            self.surfaces.append(None if pane.meshes is None else SurfaceActor(self.plotter, pane, self.scales))
+            self.clouds.append(None if pane.clouds is None else CloudActor(self.plotter, pane, self.scales))
+        self.captions = Captions(self.plotter)
         if len(content.panes) > 1:
             self.plotter.link_views()
         self.place_camera()
@@ -64,18 +71,20 @@ class Scene:
     def place_camera(self, turn: float = 0.0, all_round: bool = False) -> None:
         """Stand where the whole motion is seen, ``turn`` degrees about the up axis from the usual place."""
         width, height = self.plotter.window_size
+        room = self.room(height)
         placed = fit_camera(
             self.content.outline,
             self.content.up,
             width / len(self.content.panes) / height,
             stand=self.stand,
+            room=room,
             turn=turn,
             all_round=all_round,
         )
         for renderer in self.plotter.renderers:
             camera = renderer.camera
             camera.view_angle = VIEW_ANGLE
-            camera.SetWindowCenter(0.0, -LIFT)
+            camera.SetWindowCenter(0.0, -room.lift)
             camera.position, camera.focal_point, camera.up = placed.position, placed.focus, placed.up
             renderer.camera_set = True
             renderer.ResetCameraClippingRange()
@@ -83,19 +92,26 @@ class Scene:
             if cloud is not None:
                 cloud.size_points(pixels_per_length(placed, height))
 
+    def room(self, height: int) -> Room:
+        """What is left for the motion in a picture of that height; in a window the bar's place is always kept."""
+        if self.tile:
+            return room_for(height, tile=True)
+        return room_for(height, bar=self._window or self.look.color in self.content.measures, slider=self._window)
+
     def show(self, frame: int) -> None:
         """Move everything to a frame; nothing is rendered yet."""
         self.frame = frame
-        count = len(self.content)
-        for pane, surface, cloud, title in zip(
-            self.content.panes, self.surfaces, self.clouds, self._titles, strict=True
-        ):
+        for surface, cloud in zip(self.surfaces, self.clouds, strict=True):
             if surface is not None:
                 surface.show(frame, self.look)
             if cloud is not None:
                 cloud.show(frame, self.look, surface)
-            title.SetText(2, f"{pane.title}\nframe {frame} of {count} (0 to {count - 1}): {self.content.names[frame]}")
         self._show_trails()
+        size = tuple(self.plotter.window_size)
+        if self.tile:
+            self.captions.put_on_tile(self.content, frame, size)
+        else:
+            self.captions.put(self.content, self.scales, self.look.color, frame, size, slider=self._window)
 
     def refresh(self) -> None:
         """Show the present frame again, after the look was changed."""
@@ -113,6 +129,7 @@ class Scene:
         for actor in (self.surfaces[pane], self.clouds[pane]):
             if actor is not None:
                 actor.forget()
+        self.scales.forget()
         if self.trails[pane] is not None:
             self.plotter.renderers[pane].remove_actor(self.trails[pane], render=False)
             self.trails[pane] = None
@@ -137,6 +154,32 @@ class Scene:
         picture = self.plotter.screenshot(return_img=True)
         assert picture is not None  # None is the answer where no picture was asked for
         return picture
+
+    def seen_aspect(self, height: int) -> float:
+        """Width over height of the narrowest pane that shows the motion as large as a wide one of that height does."""
+        return seen_aspect(self.content.outline, self.content.up, self.stand, self.room(height))
+
+    def bar_alone(self, frames: list[int], width: int, tile_height: int) -> np.ndarray:
+        """The colour bar as a picture of that width, as high as it needs to be, for some frames that are seen."""
+        import pyvista
+
+        letters = tile_letter_size(tile_height)
+        height = math.ceil((BAR + 0.5) * letters)
+        plotter: Any = pyvista.Plotter(off_screen=True, window_size=[width, height])
+        try:
+            plotter.set_background("white")
+            bar = ColorBar(plotter.renderer)
+            bar.put(self.scales, self.look.color, self.content.unit, frames, (width, height), letters, 0.3 * letters)
+            return plotter.screenshot(return_img=True)
+        finally:
+            plotter.close()
+
+    @property
+    def blank(self) -> np.ndarray:
+        """A pixel of the background."""
+        import numpy as np
+
+        return np.full(3, 255, dtype=np.uint8)
 
     def close(self) -> None:
         """Give the render window back."""
