@@ -3,7 +3,7 @@
 A room a file, in the order in which an iteration goes through them:
 
     launching, sizes        how a launch runs or is recorded, and what it asks of its arguments, once
-    ways                    which way work goes on a device: in spans, or whole
+    ways, blocks            which way work goes on a device: in spans, or whole; threads that share a system
     levels, trilinear       where grid nodes lie; what they say at a point
     cayley, motion          rotations; clouds and vertices moved by the grids, and the way back
     cells, packets          points sorted into cells; sixteen queries searched at a time
@@ -13,7 +13,7 @@ A room a file, in the order in which an iteration goes through them:
     graphs                  which nodes smooth which
     cosine                  the Sobolev solve on full grids,
     cholesky                on the template, factorised once,
-    cg                      and on any graph: cg_functions, cg_kernels in one thread a system, cg_steps in launches
+    cg                      and on any graph: cg_functions, cg_kernels in one block a system
     adam, finite            the step; whether numbers are still numbers
     vectors                 clear, copy, add and blend
 

@@ -1,4 +1,4 @@
-"""What conjugate gradients on a graph, on blocks, at once and step by step have in common."""
+"""What conjugate gradients on a graph and on 3x3 blocks have in common."""
 
 import functools
 from typing import Any
@@ -54,15 +54,6 @@ def check_limits(tolerance: float, iterations_max: int) -> None:
         raise ValueError(f"tolerance: expected a number above 0 and below 1, got {tolerance}")
     if iterations_max < 1:
         raise ValueError(f"iterations_max: expected at least 1, got {iterations_max}")
-
-
-def iterations_between_looks(iterations_max: int) -> list[int]:
-    """Iterations between looks at the true residual, for solves whose number of launches is fixed; their sum is all.
-
-    Most come first; the others are for systems whose recursion has drifted.
-    """
-    later = iterations_max // 5
-    return [n for n in (iterations_max - later, later) if n]
 
 
 @functools.cache

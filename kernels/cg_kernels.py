@@ -1,4 +1,4 @@
-"""Conjugate gradients on a graph, a whole system in one thread, and what goes with a solve; for one component count.
+"""Conjugate gradients on a graph, a system in one block, and what goes with a solve; for one component count.
 
 ``cg.py`` says what they compute. No postponed annotations here: the kernels' types are variables of the factory.
 """
@@ -7,6 +7,7 @@ from typing import Any
 
 import warp as wp
 
+from warpdef.kernels.blocks import BLOCK_OPTIONS, block_sum, lane, lanes, wait
 from warpdef.kernels.cg_functions import functions_for, worst_residual_sq, worth_going_on
 from warpdef.kernels.launching import MODULE_OPTIONS
 from warpdef.kernels.sizes import sizes
@@ -20,7 +21,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         "threads weight iterations_out residual_out: S; node x r p ap: N; first: S+1; row: N+1; column: E; rhs "
         "solution_out: F"
     )
-    @wp.kernel(module="unique")
+    @wp.kernel(**BLOCK_OPTIONS)
     def solve_systems(
         # In:
         begin: int,
@@ -43,27 +44,30 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         iterations_out: wp.array[wp.int32],
         residual_out: wp.array[wp.float32],
     ):
-        """CPU: one thread a system."""
-        s = begin + wp.tid()
+        """One block a system."""
+        s = begin + wp.tid() // lanes()
         lowest = first[s]
         end = first[s + 1]
         w = weight[s]
         r_sq = dtype()
         b_sq = dtype()
-        for i in range(lowest, end):
+        for i in range(lowest + lane(), end, lanes()):
             b = rhs[node[i]]
             residual = b - apply_row(i, w, row, column, x)
             r[i] = residual
             p[i] = residual
             r_sq += wp.cw_mul(residual, residual)
             b_sq += wp.cw_mul(b, b)
+        r_sq = block_sum(r_sq)
+        b_sq = block_sum(b_sq)
         keep = asked(b_sq)
         if worst_residual_sq(r_sq - wp.cw_mul(keep, r_sq), b_sq) > 0.0:
             r_sq = wp.cw_mul(keep, r_sq)
-            for i in range(lowest, end):
+            for i in range(lowest + lane(), end, lanes()):
                 x[i] = wp.cw_mul(keep, x[i])
                 r[i] = wp.cw_mul(keep, r[i])
                 p[i] = r[i]
+            wait()
         done = int(0)
         known = float(wp.inf)
         going = int(1)
@@ -71,41 +75,45 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
             begun = done
             while done < iterations_max and worst_residual_sq(r_sq, b_sq) > tolerance * tolerance:
                 p_ap = dtype()
-                for i in range(lowest, end):
+                for i in range(lowest + lane(), end, lanes()):
                     v = apply_row(i, w, row, column, p)
                     ap[i] = v
                     p_ap += wp.cw_mul(p[i], v)
-                alpha = ratios(r_sq, p_ap)
+                alpha = ratios(r_sq, block_sum(p_ap))
                 next_sq = dtype()
-                for i in range(lowest, end):
+                for i in range(lowest + lane(), end, lanes()):
                     x[i] = x[i] + wp.cw_mul(alpha, p[i])
                     v = r[i] - wp.cw_mul(alpha, ap[i])
                     r[i] = v
                     next_sq += wp.cw_mul(v, v)
+                next_sq = block_sum(next_sq)
                 beta = ratios(next_sq, r_sq)
-                for i in range(lowest, end):
+                for i in range(lowest + lane(), end, lanes()):
                     p[i] = r[i] + wp.cw_mul(beta, p[i])
+                wait()
                 r_sq = next_sq
                 done = done + 1
             going = 0
             if done > begun:
                 r_sq = dtype()
-                for i in range(lowest, end):
+                for i in range(lowest + lane(), end, lanes()):
                     residual = rhs[node[i]] - apply_row(i, w, row, column, x)
                     r[i] = residual
                     p[i] = residual
                     r_sq += wp.cw_mul(residual, residual)
+                r_sq = block_sum(r_sq)
                 worst = worst_residual_sq(r_sq, b_sq)
                 if done < iterations_max and worth_going_on(worst, known, tolerance):
                     going = 1
                 known = worst
-        for i in range(lowest, end):
+        for i in range(lowest + lane(), end, lanes()):
             solution_out[node[i]] = x[i]
-        iterations_out[s] = done
-        residual_out[s] = wp.sqrt(worst_residual_sq(r_sq, b_sq))
+        if lane() == 0:
+            iterations_out[s] = done
+            residual_out[s] = wp.sqrt(worst_residual_sq(r_sq, b_sq))
 
     @sizes("threads node x: N; solution_out: F")
-    @wp.kernel(module="unique")
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def finish(
         # In:
         node: wp.array[wp.int32],
@@ -118,7 +126,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         solution_out[node[i]] = x[i]
 
     @sizes("threads node compact_out: N; full: F")
-    @wp.kernel(module="unique")
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def gather(
         # In:
         node: wp.array[wp.int32],
@@ -130,7 +138,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         compact_out[i] = full[node[i]]
 
     @sizes("threads system x y z_out: N; row: N+1; column: E; weight: S")
-    @wp.kernel(module="unique")
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def multiply_add(
         # In:
         system: wp.array[wp.int32],
@@ -151,7 +159,4 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
             z += beta * y[i]
         z_out[i] = z
 
-    kernels = (solve_systems, finish, gather, multiply_add)
-    for kernel in kernels:
-        kernel.module.options.update(MODULE_OPTIONS)
-    return {kernel.func.__name__: kernel for kernel in kernels}
+    return {kernel.func.__name__: kernel for kernel in (solve_systems, finish, gather, multiply_add)}

@@ -36,8 +36,13 @@ def recording() -> Iterator[list[wp.Launch]]:
         _state.commands = outer
 
 
-def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any], device: wp.Device) -> None:
+def launch(
+    kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any], device: wp.Device, lanes: int = 0
+) -> None:
     """Run ``kernel`` over ``dim`` threads, or record it inside ``recording()``. An empty span is no launch.
+
+    Args:
+        lanes: threads of the block that each of ``dim`` systems has to itself (``blocks``); 0: no kernel for blocks.
 
     Raises:
         TypeError, ValueError: an argument that the kernel's signature or table refuses, see ``sizes``.
@@ -45,8 +50,9 @@ def launch(kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any],
     check(kernel, dim, inputs, device)
     if dim == 0:
         return
+    over: dict[str, Any] = {"dim": dim * lanes, "block_dim": lanes} if isinstance(dim, int) and lanes else {"dim": dim}
     commands = getattr(_state, "commands", None)
     if commands is None:
-        wp.launch(kernel, dim=dim, inputs=list(inputs), device=device)
+        wp.launch(kernel, inputs=list(inputs), device=device, **over)
     else:
-        commands.append(wp.launch(kernel, dim=dim, inputs=list(inputs), device=device, record_cmd=True))
+        commands.append(wp.launch(kernel, inputs=list(inputs), device=device, record_cmd=True, **over))

@@ -67,6 +67,11 @@ _TABLES: dict[Any, _Table] = {}
 _OF_STRUCTS: dict[Any, dict[str, str]] = {}
 
 
+def tables() -> list[wp.Kernel]:
+    """All kernels that have one."""
+    return list(_TABLES)
+
+
 def _parse(entry: str) -> tuple[Axes, Axes, int]:
     """The names of an entry, its sums, and how many axes it has."""
     axes, found = entry.strip("<?").split(), []

@@ -30,7 +30,11 @@ class Way(Enum):
         return [(a, min(a + size, total)) for a in range(0, total, size)]
 
 
+LANES = 1024
+"""Threads of a block that work on one system together (``blocks``), on CUDA."""
+
 _forced: Way | None = None
+_forced_lanes = 1
 
 
 def way_of(device: wp.Device) -> Way:
@@ -38,12 +42,22 @@ def way_of(device: wp.Device) -> Way:
     return (_forced or Way.SPANS) if device.is_cpu else Way.WHOLE
 
 
+def lanes_of(device: wp.Device) -> int:
+    """Threads of a block: ``LANES`` on CUDA; on the CPU one, or inside ``going`` as many as asked for."""
+    return _forced_lanes if device.is_cpu else LANES
+
+
 @contextmanager
-def going(way: Way) -> Iterator[None]:
-    """Let what is built for the CPU in the block go this way."""
-    global _forced
-    outer, _forced = _forced, way
+def going(way: Way, lanes: int = 1) -> Iterator[None]:
+    """Let what is built for the CPU in the block go this way; more than one lane only where it runs in the block, too.
+
+    Args:
+        lanes: threads of a block on the CPU, where Warp runs them as fibers, one after the other between two waits.
+    """
+    global _forced, _forced_lanes
+    outer = _forced, _forced_lanes, wp.config.enable_cpu_blocks
+    _forced, _forced_lanes, wp.config.enable_cpu_blocks = way, lanes, lanes > 1
     try:
         yield
     finally:
-        _forced = outer
+        _forced, _forced_lanes, wp.config.enable_cpu_blocks = outer

@@ -10,8 +10,7 @@ import pytest
 import warp as wp
 
 import warpdef.kernels
-from warpdef.kernels import cg
-from warpdef.kernels.levels import node8
+from warpdef.kernels import sizes
 
 ARCHITECTURE = 90
 
@@ -25,9 +24,10 @@ def modules_with_kernels() -> dict[str, wp.Module]:
         module = wp.get_module(name)
         if module.kernels:
             found[info.name] = module
-    for dtype, label in ((wp.vec3, "vec3"), (node8, "node8")):
-        for name, kernel in cg._KERNELS[dtype].items():
-            found[f"{Path(kernel.func.__code__.co_filename).stem}-{name}-{label}"] = kernel.module
+    for kernel in sizes.tables():
+        path = Path(kernel.func.__code__.co_filename)
+        if path.parent.name == "kernels" and kernel.module not in found.values():
+            found[f"{path.stem}-{kernel.module.name.split('.')[-1]}"] = kernel.module
     return found
 
 
