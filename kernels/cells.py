@@ -13,9 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from warpdef.kernels.blocks import BLOCK_OPTIONS, block_max, lane, lanes, sum_before, wait
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.sizes import require, sizes
-from warpdef.kernels.ways import Way, way_of
+from warpdef.kernels.ways import Way, lanes_of, way_of
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -176,84 +177,64 @@ def _sort_groups(
     sort_group(g, offset[g], offset[g + 1], cells, points, cell, last, odometer, start_out, order_out, sorted_out)
 
 
-@sizes("threads points group last: N; farthest: G")
-@wp.kernel
-def _measure_moves(
+@sizes("threads odometer: G; points cell last order_out sorted_out: N; offset: G+1; start_out: G X*Y*Z+1")
+@wp.kernel(**BLOCK_OPTIONS)
+def _sort_groups_in_blocks(
     # In:
-    points: wp.array[wp.vec3],
-    group: wp.array[wp.int32],
-    # In and out:
-    last: wp.array[wp.vec3],
-    farthest: wp.array[wp.float32],
-):
-    """One thread a point."""
-    i = wp.tid()
-    moved = wp.length(points[i] - last[i])
-    if not moved < 3.0e38:
-        moved = wp.inf  # a move that is no number: no bound holds any more
-    wp.atomic_max(farthest, group[i], moved)
-    last[i] = points[i]
-
-
-@sizes("threads farthest odometer: G")
-@wp.kernel
-def _turn_odometers(
-    # In and out:
-    farthest: wp.array[wp.float32],
-    odometer: wp.array[wp.float64],
-):
-    """One thread a group."""
-    g = wp.tid()
-    odometer[g] = odometer[g] + wp.float64(farthest[g])
-    farthest[g] = 0.0
-
-
-@sizes("threads start_out: N")
-@wp.kernel
-def _clear_cells(
-    # Out:
-    start_out: wp.array[wp.int32],
-):
-    start_out[wp.tid()] = 0
-
-
-@sizes("threads points group cell_out: N; start_out: G X*Y*Z+1")
-@wp.kernel
-def _count_points(
-    # In:
+    begin: int,
     cells: Cells,
     points: wp.array[wp.vec3],
-    group: wp.array[wp.int32],
-    # Out:
-    cell_out: wp.array[wp.int32],
-    # Out, added to:
-    start_out: wp.array2d[wp.int32],
-):
-    """One thread a point."""
-    i = wp.tid()
-    c = cell_of(points[i], cells)
-    cell_out[i] = c
-    wp.atomic_add(start_out, group[i], c, 1)
-
-
-@sizes("threads points group cell order_out sorted_out: N; start: G C")
-@wp.kernel
-def _place_points(
-    # In:
-    points: wp.array[wp.vec3],
-    group: wp.array[wp.int32],
+    offset: wp.array[wp.int32],
+    # In and out: scratch
     cell: wp.array[wp.int32],
-    # In and out: where cells end, then where they begin
-    start: wp.array2d[wp.int32],
+    # In and out: positions at the last build, and how far they have moved since the first
+    last: wp.array[wp.vec3],
+    odometer: wp.array[wp.float64],
     # Out:
+    start_out: wp.array2d[wp.int32],
     order_out: wp.array[wp.int32],
     sorted_out: wp.array[wp.vec3],
 ):
-    """One thread a point. The order within a cell is not fixed; the search does not depend on it."""
-    i = wp.tid()
-    slot = wp.atomic_sub(start, group[i], cell[i], 1) - 1
-    order_out[slot] = i
-    sorted_out[slot] = points[i]
+    """One block a group: count, add up, place. The order within a cell is not fixed; no search depends on it."""
+    g = begin + wp.tid() // lanes()
+    lowest = offset[g]
+    end = offset[g + 1]
+    farthest = float(0.0)
+    for i in range(lowest + lane(), end, lanes()):
+        moved = wp.length(points[i] - last[i])
+        if not moved < 3.0e38:
+            moved = wp.inf  # a move that is no number: no bound holds any more
+        farthest = wp.max(farthest, moved)
+        last[i] = points[i]
+    farthest = block_max(farthest)
+    if lane() == 0:
+        odometer[g] = odometer[g] + wp.float64(farthest)
+    count = start_out.shape[1]
+    for c in range(lane(), count, lanes()):
+        start_out[g, c] = 0
+    wait()
+    for i in range(lowest + lane(), end, lanes()):
+        c = cell_of(points[i], cells)
+        cell[i] = c
+        wp.atomic_add(start_out, g, c, 1)
+    wait()
+    # A run of cells a lane: where each of them ends.
+    share = (count + lanes() - 1) // lanes()
+    first = wp.min(lane() * share, count)
+    after = wp.min(first + share, count)
+    mine = int(0)
+    for c in range(first, after):
+        mine = mine + start_out[g, c]
+    total = lowest + sum_before(mine)
+    for c in range(first, after):
+        total = total + start_out[g, c]
+        start_out[g, c] = total
+    wait()
+    # From each cell's end downwards, which leaves where it begins.
+    for i in range(lowest + lane(), end, lanes()):
+        slot = wp.atomic_sub(start_out, g, cell[i], 1) - 1
+        order_out[slot] = i
+        sorted_out[slot] = points[i]
 
 
 def fit_cells(lower: np.ndarray, upper: np.ndarray, wanted: float) -> Cells:
@@ -304,39 +285,29 @@ class PointGrid:
         self.targets.cells, self.targets.odometer = self.cells, self.odometer
         self.targets.points, self.targets.sorted_points = points, self.sorted
         self.targets.start, self.targets.order = self.start, self.order
-        group = np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
-        self._group = wp.array(group, dtype=wp.int32, device=device)
         self._offset = wp.array(self.offset, dtype=wp.int32, device=device)
         self._cell = wp.zeros(len(points), dtype=wp.int32, device=device)
         self._last = wp.clone(points)
-        self._farthest = wp.zeros(len(sizes), dtype=wp.float32, device=device)
+        self._lanes = lanes_of(device)
 
     def forget(self) -> None:
         """Begin to measure moves anew; searches must forget, too."""
         self.odometer.zero_()
 
     def build(self, first: int = 0, last: int | None = None) -> None:
-        """Sort the points of groups ``first .. last`` (last excluded; None: all) into their cells.
-
-        On CUDA all groups are always sorted: spans are a matter of CPU threads.
-        """
-        device = self.points.device
+        """Sort the points of groups ``first .. last`` (last excluded; None: all) into their cells."""
         if self._way is Way.WHOLE:
-            self.build_in_parallel()
+            self.build_in_blocks(first, last)
             return
+        self._launch(_sort_groups, first, last)
+
+    def build_in_blocks(self, first: int = 0, last: int | None = None) -> None:
+        """The same, a block a group: what CUDA runs."""
+        self._launch(_sort_groups_in_blocks, first, last, self._lanes)
+
+    def _launch(self, kernel: wp.Kernel, first: int, last: int | None, lanes: int = 0) -> None:
         count = (len(self.offset) - 1 if last is None else last) - first
         moved = [self._cell, self._last, self.odometer]
         targets = [self.start, self.order, self.sorted]
-        launch(_sort_groups, count, [first, self.cells, self.points, self._offset, *moved, *targets], device)
-
-    def build_in_parallel(self) -> None:
-        """The same for all groups, one thread a point: what CUDA runs."""
-        device, count = self.points.device, len(self.points)
-        launch(_measure_moves, count, [self.points, self._group, self._last, self._farthest], device)
-        launch(_turn_odometers, len(self._farthest), [self._farthest, self.odometer], device)
-        flat = self.start.flatten()
-        launch(_clear_cells, len(flat), [flat], device)
-        launch(_count_points, count, [self.cells, self.points, self._group, self._cell, self.start], device)
-        wp.utils.array_scan(flat, flat, inclusive=True)
-        placing = [self.points, self._group, self._cell, self.start, self.order, self.sorted]
-        launch(_place_points, count, placing, device)
+        inputs = [first, self.cells, self.points, self._offset, *moved, *targets]
+        launch(kernel, count, inputs, self.points.device, lanes)

@@ -81,7 +81,13 @@ def counting() -> Iterator[Counted]:
         yield counted
 
 
-def _problem(config: Config, partial: bool) -> Problem:
+def small_grids() -> Config:
+    """The default configuration on a few levels."""
+    return replace(Config(), grid=replace(Config().grid, levels=LEVELS))
+
+
+def example_problem(config: Config, partial: bool = False) -> Problem:
+    """A turning ellipsoid; ``partial``: one frame shows half of the surface."""
     moving = synthetic.turning_ellipsoid(FRAMES, POINTS, np.random.default_rng(0), subdivisions=SUBDIVISIONS)
     clouds, normals = moving.clouds, moving.normals
     if partial:
@@ -104,11 +110,11 @@ def count_all(partial: bool = False) -> dict[str, Counted]:
 
     partial: one frame shows half of the surface.
     """
-    config = replace(Config(), grid=replace(Config().grid, levels=LEVELS))
+    config = small_grids()
     warm = replace(config, optimiser=replace(config.optimiser, warmup=1))
     with going(Way.WHOLE), closing(Team(1)) as team:
-        guide = Optimiser(_problem(config, partial), 9, team)
-        chain = Optimiser(_problem(chained(warm), partial), 9, team)
+        guide = Optimiser(example_problem(config, partial), 9, team)
+        chain = Optimiser(example_problem(chained(warm), partial), 9, team)
         chain.iterate()  # the warm-up
         guided = _counted(guide.iterate)
         guide.finish()

@@ -12,7 +12,7 @@ import warp as wp
 from warpdef.fit.morton import morton_order
 from warpdef.kernels.cells import PointGrid, fit_cells
 from warpdef.kernels.neighbours import NearestSearch
-from warpdef.kernels.ways import Way
+from warpdef.kernels.ways import Way, going
 
 
 def upload(points: np.ndarray, device: str) -> wp.array:
@@ -340,16 +340,36 @@ def test_points_of_another_shape_are_refused(device: str) -> None:
         NearestSearch(grid, upload(np.zeros((2, 3)), device), wp.zeros(2, dtype=wp.float32, device=device))
 
 
-def test_the_parallel_sort_gives_the_same_answers(rng: np.random.Generator) -> None:
-    """The kernels that CUDA runs, on the CPU: count, scan, place."""
+@pytest.mark.parametrize("lanes", [1, 3, 64])
+def test_blocks_sort_as_the_cpu_does(lanes: int, rng: np.random.Generator) -> None:
+    """The kernel that CUDA runs, on the CPU: count, add up, place; groups larger than a block, empty ones, spans."""
     sizes = [500, 1, 0, 700]
     targets, queries = targets_of("lattice", sum(sizes), rng), queries_everywhere(rng)
     serial = PointGrid(upload(targets, "cpu"), sizes)
     serial.build()
-    parallel = PointGrid(upload(targets, "cpu"), sizes)
-    for _ in range(2):  # a second build starts from the first one's leftovers
-        parallel.build_in_parallel()
-    np.testing.assert_array_equal(serial.start.numpy(), parallel.start.numpy())
-    for g in range(4):
-        group = np.full(len(queries), g)
-        np.testing.assert_array_equal(find(parallel, queries, group), find(serial, queries, group))
+    with going(Way.SPANS, lanes):
+        shared = PointGrid(upload(targets, "cpu"), sizes, np.stack([targets.min(axis=0), targets.max(axis=0)]))
+        for _ in range(2):  # a second build starts from the first one's leftovers
+            shared.build_in_blocks()
+        np.testing.assert_array_equal(serial.start.numpy(), shared.start.numpy())
+        for g in range(4):
+            group = np.full(len(queries), g)
+            np.testing.assert_array_equal(find(shared, queries, group), find(serial, queries, group))
+        moved = targets + 0.01 * rng.normal(size=targets.shape)
+        before = shared.start.numpy()
+        for grid in (serial, shared):
+            grid.points.assign(moved.astype(np.float32))
+        serial.build(1, 4)
+        shared.build_in_blocks(1, 4)
+    np.testing.assert_array_equal(serial.start.numpy(), shared.start.numpy())
+    np.testing.assert_array_equal(shared.start.numpy()[0], before[0])
+    np.testing.assert_allclose(serial.odometer.numpy(), shared.odometer.numpy(), rtol=1e-6)
+    assert shared.odometer.numpy().tolist()[::2] == [0, 0] and (shared.odometer.numpy()[[1, 3]] > 0).all()
+
+
+def test_a_move_that_is_no_number_is_infinite_in_blocks() -> None:
+    with going(Way.SPANS, 3):
+        grid = PointGrid(upload(np.zeros((7, 3)), "cpu"), [3, 4])
+        grid.points.assign(np.array([[0.0] * 3] * 6 + [[np.nan] * 3], dtype=np.float32))
+        grid.build_in_blocks()
+    assert grid.odometer.numpy().tolist() == [0, np.inf]
