@@ -121,6 +121,10 @@ def part_e(job: Job) -> list[Row]:
                 None if job.quick else TRACKING_MAX,
             )
         )
+        if result.report["device_memory"]:
+            rows.append(
+                row(f"{name}: memory so far", result.report["device_memory"]["peak_mb"] or "not counted", "MiB")
+            )
         rows.append(row(f"{name}: CD", chamfer(MeshSequence(result.vertices, result.faces), truth), "1e-5"))
     rows.append(row("floor of CD", chamfer(truth, MeshSequence(truth.vertices, truth.faces)), "1e-5"))
     others = list(found)[1:]

@@ -12,6 +12,7 @@ import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,7 @@ def part_b(job: Job) -> list[Row]:
     out = wp.zeros(1, dtype=wp.float32, device=device)
     for threads in (1, 10_240):
         launch = wp.launch(kernels.do_nothing, threads, [out], device=device, record_cmd=True)
+        assert launch is not None
         seconds = _replayed(job, launch.launch, NODES // (10 if job.quick else 1))
         rows.append(row(f"a node of {threads} threads that do nothing, in a chain", 1e6 * seconds, "us"))
     return rows
@@ -110,7 +112,9 @@ def _replayed(job: Job, launch: Callable[[], object], times: int) -> float:
     if job.cuda:
         with wp.ScopedCapture(device=job.target) as captured:
             all_of_them()
-        replay = lambda: wp.capture_launch(captured.graph)  # noqa: E731
+        graph = captured.graph
+        assert graph is not None
+        replay = partial(wp.capture_launch, graph)
     clock = DeviceTimer(job.target)
     clock.seconds(replay)
     return float(np.median([clock.seconds(replay) for _ in range(10)])) / times

@@ -27,7 +27,7 @@ FLOORS_INSIDE = (
     ("errors", "kernel_cache"),
     ("cloud", "config", "device", "geometry", "texture", "transitions"),
     ("appearance", "memory", "presets", "sequence"),
-    ("cleaning", "mesh"),
+    ("cleaning", "mesh", "shortage"),
     ("motion", "progress", "quality", "rig", "template", "vertex_measures"),
     ("result",),
     ("files",),

@@ -14,7 +14,7 @@ import warp as wp
 import warpdef
 from warpdef import memory
 from warpdef.config import Config
-from warpdef.errors import DeviceError, InputError
+from warpdef.errors import InputError
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.pool import Pool
 from warpdef.fit.problem import Problem
@@ -23,7 +23,6 @@ from warpdef.fit.workers import Team
 from warpdef.memory import (
     GIB,
     estimate_memory,
-    explained_shortage,
     pooled_bytes,
     require_memory,
     vertices_most,
@@ -207,42 +206,3 @@ def test_containers_limits_count(version: int, line: str, place: str, tmp_path: 
     group(root / place, version, "90", 400, 0)  # all that a container sees of itself
     assert left() == 0
     assert memory._group_left(root, tmp_path / "missing") is None
-
-
-# Running out all the same.
-
-
-@pytest.mark.parametrize(
-    "error",
-    [
-        MemoryError(),
-        RuntimeError("Failed to allocate 1073741824 bytes on device 'cuda:0'"),
-        RuntimeError("Warp CUDA error 2: out of memory (in function ...)"),
-    ],
-)
-def test_running_out_names_the_flags_that_help(error: Exception) -> None:
-    estimate = estimate_memory([5000] * 17, 10_000, Config())
-    with (
-        pytest.raises(DeviceError, match="--points, --template.faces-max or --grid.levels"),
-        explained_shortage(estimate, CPU),
-    ):
-        raise error
-
-
-def test_other_errors_stay_what_they_are() -> None:
-    with (
-        pytest.raises(RuntimeError, match="something else"),
-        explained_shortage(estimate_memory([10], 10, Config()), CPU),
-    ):
-        raise RuntimeError("something else")
-
-
-def test_running_out_in_the_middle(rng: np.random.Generator, monkeypatch) -> None:
-    def full(self) -> None:
-        raise RuntimeError("Failed to allocate 4096 bytes on device 'cuda:0'")
-
-    monkeypatch.setattr(Optimiser, "iterate", full)
-    moving = synthetic.turning_ellipsoid(3, 200, rng)
-    template = warpdef.TriMesh(moving.vertices[1], moving.faces)
-    with pytest.raises(DeviceError, match="out of memory on .*: the run needs about"):
-        warpdef.reconstruct(np.stack(moving.clouds), device="cpu", template=template, threads=1)

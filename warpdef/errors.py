@@ -17,5 +17,9 @@ class DeviceError(WarpdefError, RuntimeError):
     """The requested compute device is not there."""
 
 
+class OutOfMemory(DeviceError):
+    """Memory ran out during a run, on the device or beside it."""
+
+
 class MissingPackageError(WarpdefError, ImportError):
     """An optional package or system library is needed for what was asked."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +17,7 @@ import warp as wp
 
 from warpdef.config import Config
 from warpdef.device import is_cuda
-from warpdef.errors import DeviceError, InputError
+from warpdef.errors import InputError
 from warpdef.kernels.cells import CELLS_MAX
 from warpdef.kernels.isometry import path_width
 from warpdef.kernels.ways import VERTICES_PER_TASK
@@ -232,29 +231,3 @@ def _what_fits(points: Sequence[int], config: Config, fits: Callable[[Sequence[i
     ]
     found = [kind for kind in kinds if kind]
     return f"{' or '.join(found)} would fit" if found else "take fewer frames and points"
-
-
-@contextmanager
-def explained_shortage(estimate: MemoryEstimate, device: wp.Device) -> Iterator[None]:
-    """Turn running out of memory inside the block into a sentence that names the flags that help.
-
-    Raises:
-        DeviceError: memory ran out.
-    """
-    try:
-        yield
-    except (MemoryError, RuntimeError) as error:
-        if not isinstance(error, MemoryError) and not _is_shortage(error):
-            raise
-        place = f"{device.name} ({device.alias})" if is_cuda(device) else "this machine"
-        size = estimate.device if is_cuda(device) else estimate.total
-        other = ", or --device cpu" if is_cuda(device) else ""
-        raise DeviceError(
-            f"out of memory on {place}: the run needs about {size / GIB:.1f} GiB. Lower --points, "
-            f"--template.faces-max or --grid.levels, or take fewer --frames{other}"
-        ) from error
-
-
-def _is_shortage(error: RuntimeError) -> bool:
-    text = str(error).lower()
-    return "failed to allocate" in text or "out of memory" in text

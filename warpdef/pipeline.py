@@ -28,7 +28,7 @@ from warpdef.fit.saving import Saved, Saver, lasting_facts
 from warpdef.fit.workers import Team
 from warpdef.geometry.cloud_normals import pca_normals
 from warpdef.kernel_cache import cache_warnings
-from warpdef.memory import MemoryEstimate, explained_shortage
+from warpdef.memory import MemoryEstimate
 from warpdef.mesh import MeshSequence, TriMesh, float32_where_exact
 from warpdef.motion.gaps import fill_gaps
 from warpdef.motion.grid_motion import GridMotion
@@ -37,6 +37,7 @@ from warpdef.progress import Callback, Clock, Limits, Progress, held_interrupts,
 from warpdef.quality.assess import assess
 from warpdef.result import Reconstruction
 from warpdef.sequence import PointSequence, Similarity
+from warpdef.shortage import device_memory, explained_shortage, retried
 from warpdef.template.choose import ChosenTemplate, accept_user_template, choose_template
 
 
@@ -88,52 +89,59 @@ def reconstruct(
         tell(Progress("template", message=warning))
 
     # Optimization: one descent for all steps, both directions, and the template.
-    tell(Progress("compile"))
-    with closing(Team(team_size(target, threads))) as team, explained_shortage(estimate, target):
-        with clock.phase("compile"):
-            normals = _surface_normals(clouds, sequence.normals, config)
-            mesh = chosen.mesh
-            given = [n is not None for n in sequence.normals]
-            keyframe = sequence.numbers.index(chosen.keyframe)
-            steady = replace(config, optimiser=config.optimiser.for_length(len(clouds)))
-            problem = Problem(clouds, normals, mesh.vertices, mesh.faces, keyframe, steady, target, given)
-            optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
-            optimiser.prepare()
-            refinement = Refinement(optimiser.objective, team) if config.refine.iterations else None
-            if refinement is not None:
-                refinement.prepare()
-        with held_interrupts() as interruption:
-            resumed = [*saved.facts["resumed"], saved.iteration] if saved is not None else []
-            facts = lasting_facts(sequence, config, chosen, safeguards.notes, resumed)
-            saver = Saver(safeguards.checkpoint, safeguards.checkpoint_seconds, facts, mesh, clock)
-            show = _with_meshes(tell, optimiser.objective, mesh.faces, into, sequence)
-            limits = Limits(interruption, clock, safeguards.seconds_max)
-            run = FitRun(optimiser, refinement, team.size, limits, saver, show)
-            if saved is not None:
-                run.restore(saved)
-            with clock.phase("optimise"):
-                run.descend()
-            # Beyond the paper: every vertex of every frame on its own, and one shape for all frames.
-            with clock.phase("refine"):
-                run.refine()
-            vertices = optimiser.objective.placed_vertices()
-            vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces)
-            vertices = float32_where_exact(into.from_cube(vertices))
+    def fit(config: Config, told: list[str]) -> Reconstruction:
+        tell(Progress("compile", message=told[-1] if told else ""))
+        with closing(Team(team_size(target, threads))) as team, explained_shortage(estimate, target):
+            with clock.phase("compile"):
+                normals = _surface_normals(clouds, sequence.normals, config)
+                mesh = chosen.mesh
+                given = [n is not None for n in sequence.normals]
+                keyframe = sequence.numbers.index(chosen.keyframe)
+                steady = replace(config, optimiser=config.optimiser.for_length(len(clouds)))
+                problem = Problem(clouds, normals, mesh.vertices, mesh.faces, keyframe, steady, target, given)
+                optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
+                optimiser.prepare()
+                refinement = Refinement(optimiser.objective, team) if config.refine.iterations else None
+                if refinement is not None:
+                    refinement.prepare()
+            with held_interrupts() as interruption:
+                resumed = [*saved.facts["resumed"], saved.iteration] if saved is not None else []
+                facts = lasting_facts(sequence, config, chosen, safeguards.notes, resumed)
+                saver = Saver(safeguards.checkpoint, safeguards.checkpoint_seconds, facts, mesh, clock)
+                show = _with_meshes(tell, optimiser.objective, mesh.faces, into, sequence)
+                limits = Limits(interruption, clock, safeguards.seconds_max)
+                run = FitRun(optimiser, refinement, team.size, limits, saver, show)
+                run.warnings += told
+                if saved is not None:
+                    run.restore(saved)
+                with clock.phase("optimise"):
+                    run.descend()
+                # Beyond the paper: every vertex of every frame on its own, and one shape for all frames.
+                with clock.phase("refine"):
+                    run.refine()
+                vertices = optimiser.objective.placed_vertices()
+                vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces)
+                vertices = float32_where_exact(into.from_cube(vertices))
 
-            levels = (config.grid.coarsest, config.grid.levels)
-            nodes = optimiser.nodes.numpy()
-            motion = GridMotion.from_nodes(nodes, levels, chosen.keyframe, into, sequence.numbers, sequence.frame_count)
+                levels = (config.grid.coarsest, config.grid.levels)
+                nodes = optimiser.nodes.numpy()
+                motion = GridMotion.from_nodes(
+                    nodes, levels, chosen.keyframe, into, sequence.numbers, sequence.frame_count
+                )
 
-            result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=run.steps, motion=motion)
-            result.appearance = None if template is None else template.appearance
-            with clock.phase("assess"):
-                judged = _assess(result, sequence)
-            result.report = _report(sequence, chosen, run, team.size, clock, estimate)
-            result.report["warnings"] += judged.pop("warnings")
-            ended = interruption.signal if run.stopped and interruption.asked else None
-            result.report |= {"interrupted": ended is not None, "signal": ended, "resumed": resumed, **judged}
-            result.report["input"] = {"path": safeguards.notes.get("input", ""), "digests": facts["digests"]}
-    return result
+                result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=run.steps, motion=motion)
+                result.appearance = None if template is None else template.appearance
+                with clock.phase("assess"):
+                    judged = _assess(result, sequence)
+                result.report = _report(sequence, chosen, run, team.size, clock, estimate)
+                result.report["warnings"] += judged.pop("warnings")
+                ended = interruption.signal if run.stopped and interruption.asked else None
+                result.report |= {"interrupted": ended is not None, "signal": ended, "resumed": resumed, **judged}
+                result.report["input"] = {"path": safeguards.notes.get("input", ""), "digests": facts["digests"]}
+        return result
+
+    sizes = [len(p) for p in clouds]
+    return fit(config, []) if saved is not None else retried(fit, config, sizes, estimate, target)
 
 
 def _template(
@@ -227,5 +235,6 @@ def _report(
         "seconds": dict(clock.seconds),
         "memory_estimate_mb": round(estimate.total / 2**20, 1),
         "peak_memory_mb": round(peak_memory_mb(), 1),
+        "device_memory": device_memory(device),
         "warnings": warnings,
     }
