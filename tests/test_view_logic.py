@@ -14,6 +14,7 @@ from warpdef.apps.main import run
 from warpdef.apps.view import parse_size
 from warpdef.apps.viewer import probe as view_probe
 from warpdef.apps.viewer.actors import point_spacing
+from warpdef.apps.viewer.checker import checker_places
 from warpdef.apps.viewer.colouring import material_colors, spread_out_vertices
 from warpdef.apps.viewer.content import Pane, load_content
 from warpdef.apps.viewer.movie import movie_steps
@@ -173,6 +174,14 @@ def test_material_colors_show_place_and_checker():
     assert len(np.unique(colors, axis=0)) > 100
     np.testing.assert_array_equal(material_colors(SPHERE * 1000.0), colors)
     assert material_colors(np.zeros((3, 3))).shape == (3, 3)
+
+
+def test_the_checker_has_as_many_cells_as_it_says():
+    places = checker_places(SPHERE * [1.0, 0.5, 0.25], cells=20)
+    assert places.dtype == np.float32
+    np.testing.assert_allclose(np.ptp(places, axis=0), [20.0, 10.0, 5.0], rtol=1e-5)
+    np.testing.assert_allclose(places.min(axis=0), 0.5)  # no wall of cells along the lowest side
+    np.testing.assert_allclose(checker_places(np.ones((3, 3))), 0.5)
 
 
 def test_spread_out_vertices():

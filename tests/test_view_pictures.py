@@ -13,7 +13,8 @@ from view_samples import BAR, VERTICES, drawing, save_clouds, save_run, save_tru
 from warpdef.apps.main import run
 from warpdef.apps.viewer import probe as view_probe
 from warpdef.apps.viewer.actors import Look
-from warpdef.apps.viewer.content import load_content
+from warpdef.apps.viewer.camera import Stand
+from warpdef.apps.viewer.content import Content, Pane, load_content
 from warpdef.apps.viewer.scene import Scene
 from warpdef.mesh import MeshSequence
 
@@ -82,6 +83,25 @@ def test_the_picture_is_of_the_mesh(out):
     seen = np.any(shot(out, "--color", "plain") < 240, axis=2)[30:]
     assert 0.02 < seen.mean() < 0.5
     assert not seen[:, [0, -1]].any() and not seen[-1].any()
+
+
+@pytest.mark.parametrize("wireframe", [False, True])
+def test_the_checker_does_not_need_vertices(wireframe):
+    # A square of two triangles: 20 cells along each side, between corners of one colour each.
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    meshes = MeshSequence(square[None], np.array([[0, 1, 2], [0, 2, 3]]))
+    content = Content([Pane("a", meshes)], ("0",))
+    made = Scene(content, off_screen=True, size=(400, 400), look=Look(wireframe=wireframe), stand=Stand(0.0, 0.0))
+    try:
+        seen = made.picture().astype(int).sum(axis=2)
+        made.look.color = "plain"
+        made.refresh()
+        plain = made.picture().astype(int).sum(axis=2)
+    finally:
+        made.close()
+    row, column = (np.abs(np.diff(line)) > 25 for line in (seen[230, 40:-40], seen[60:-40, 180]))
+    assert row.sum() > 12 and column.sum() > 12
+    assert (np.abs(np.diff(plain[230, 40:-40])) > 25).sum() <= 4
 
 
 def test_colors_of_its_own_are_shown(out):
@@ -163,11 +183,11 @@ def test_one_actor_is_moved_not_rebuilt(out):
     try:
         actors = [list(renderer.actors.values()) for renderer in made.plotter.renderers]
         surface = present(made.surfaces[0])
-        data = surface.actor.mapper.dataset
+        data = surface.data
         for frame in (3, 1, 4):
             made.show(frame)
             np.testing.assert_array_equal(data.points, VERTICES[frame])
-            assert surface.actor.mapper.dataset is data
+            assert surface.data is data is surface.actor.GetMapper().GetInput()
         assert [list(renderer.actors.values()) for renderer in made.plotter.renderers] == actors
     finally:
         made.close()
@@ -193,7 +213,7 @@ def test_vertices_may_change_while_it_is_shown(out):
         made.set_vertices(0, MeshSequence(moved, BAR.faces))
         made.refresh()
         assert present(made.surfaces[0]).actor is actor
-        np.testing.assert_array_equal(actor.mapper.dataset.points, moved[4].astype(np.float32))
+        np.testing.assert_array_equal(present(made.surfaces[0]).data.points, moved[4].astype(np.float32))
         assert differs(made.picture().astype(int), before) > 0.005
     finally:
         made.close()
@@ -212,6 +232,6 @@ def test_triangles_may_change_from_frame_to_frame(out, tmp_path):
             made.show(frame)
             made.picture()
             count = len(BAR.faces) if frame != 2 else len(BAR.faces[::2])
-            assert present(made.surfaces[2]).actor.mapper.dataset.n_cells == count
+            assert present(made.surfaces[2]).data.n_cells == count
     finally:
         made.close()

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from warpdef.apps.viewer.content import Pane
     from warpdef.apps.viewer.scales import Scales
 
+from warpdef.apps.viewer.checker import REST
+
 PLAIN, MATERIAL = "plain", "template"
 _GREY, _CLOUD = "#c3c8d2", "#46566b"
 _EDGE = "#3a4250"
@@ -39,21 +41,26 @@ class SurfaceActor:
 
     def __init__(self, plotter: Any, pane: Pane, scales: Scales) -> None:
         import pyvista
+        from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
+
+        from warpdef.apps.viewer.checker import Checker
 
         self._pane, self._scales = pane, scales
         vertices, faces = self._surface(0)
-        self._data = pyvista.PolyData()
+        self.data = pyvista.PolyData()
         self._faces: np.ndarray | None = None
-        self._colors: np.ndarray | None = None
+        self._painted = False
         self._fill(vertices, faces)
-        self._data.point_data["Normals"] = vertices.astype("f4")
-        self._data.point_data["rgb"] = (vertices * 0).astype("u1")
-        self._data.point_data["value"] = vertices[:, 0].astype("f4")
-        self._data.point_data.active_normals_name = "Normals"
         self.actor = plotter.add_mesh(
-            self._data, color=_GREY, scalars=None, specular=0.1, ambient=0.2, diffuse=0.9, show_scalar_bar=False
+            self.data, color=_GREY, scalars=None, specular=0.1, ambient=0.2, diffuse=0.9, show_scalar_bar=False
         )
-        self.actor.mapper.SetScalarModeToUsePointFieldData()
+        # PyVista's mapper makes one like this for itself when it first draws; the checker needs it before.
+        self._mapper = vtkPolyDataMapper()
+        self._mapper.SetInputData(self.data)
+        self._mapper.SetScalarModeToUsePointFieldData()
+        self._mapper.InterpolateScalarsBeforeMappingOn()
+        self.actor.SetMapper(self._mapper)
+        self._checker = Checker(self.actor, self._mapper)
         self.actor.prop.edge_color, self.actor.prop.line_width, self.actor.prop.edge_opacity = _EDGE, 1.0, 0.6
 
     def _surface(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
@@ -68,11 +75,15 @@ class SurfaceActor:
         if faces is not self._faces and (
             self._faces is None or faces.shape != self._faces.shape or not (faces == self._faces).all()
         ):
-            self._data.copy_from(pyvista.PolyData.from_regular_faces(vertices.astype("f4"), faces))
-            self._colors = None
+            self.data.copy_from(pyvista.PolyData.from_regular_faces(vertices.astype("f4"), faces))
+            points = self.data.point_data
+            points["Normals"], points[REST] = vertices.astype("f4"), vertices.astype("f4")
+            points["rgb"], points["value"] = (vertices * 0).astype("u1"), vertices[:, 0].astype("f4")
+            points.active_normals_name = "Normals"
+            self._painted = False
         else:
-            points: Any = self._data.points  # sliced below, which its annotation leaves out
-            points[:] = vertices
+            places: Any = self.data.points  # sliced below, which its annotation leaves out
+            places[:] = vertices
         self._faces = faces
 
     def show(self, frame: int, look: Look) -> None:
@@ -82,44 +93,51 @@ class SurfaceActor:
         vertices, faces = self._surface(frame)
         self._fill(vertices, faces)
         if look.smooth:
-            self._data.point_data["Normals"] = vertex_normals(vertices, faces)
-            self._data.point_data.active_normals_name = "Normals"
+            self.data.point_data["Normals"] = vertex_normals(vertices, faces)
+            self.data.point_data.active_normals_name = "Normals"
         prop = self.actor.prop
         prop.show_edges = look.wireframe
         prop.interpolation = "phong" if look.smooth else "flat"
         self._paint(frame, look.color)
 
     def _paint(self, frame: int, color: str) -> None:
-        mapper, colouring = self.actor.mapper, self._pane.colouring
+        mapper, colouring = self._mapper, self._pane.colouring
         measured = False
         if colouring is not None and color in colouring.measures:
             measured = True
-            self._data.point_data["value"] = colouring.values(color, frame).astype("f4")
-            mapper.lookup_table = self._scales.table(color)
-            mapper.scalar_range = self._scales.table(color).scalar_range
+            self.data.point_data["value"] = colouring.values(color, frame).astype("f4")
+            table = self._scales.table(color)
+            mapper.SetLookupTable(table)
+            mapper.SetScalarRange(*table.scalar_range)
             mapper.SetColorModeToMapScalars()
             mapper.SelectColorArray("value")
         elif color == MATERIAL:
-            if self._colors is None:
-                self._colors = self._material(frame)
-                self._data.point_data["rgb"] = self._colors
+            if not self._painted:
+                self._painted = True
+                self._paint_material(frame)
             mapper.SetColorModeToDirectScalars()
             mapper.SelectColorArray("rgb")
-        mapper.scalar_visibility = measured or color == MATERIAL
+        mapper.SetScalarVisibility(measured or color == MATERIAL)
+        self._checker.show(color == MATERIAL and self._pane.colors is None)
         # A number's colour must be the bar's, not a shade of it.
         self.actor.prop.lighting = not measured
 
-    def _material(self, frame: int) -> np.ndarray:
-        from warpdef.apps.viewer.colouring import material_colors
+    def _paint_material(self, frame: int) -> None:
+        from warpdef.apps.viewer.checker import checker_places
+        from warpdef.apps.viewer.colouring import material_hues
 
-        if self._pane.colors is not None:
-            return self._pane.colors
-        moving = self._pane.moving
-        return material_colors(self._surface(frame)[0] if moving is None else moving.vertices[self._pane.keyframe])
+        pane = self._pane
+        if pane.colors is not None:
+            self.data.point_data["rgb"] = pane.colors
+            return
+        rest = pane.rest
+        if rest is None:
+            rest = self._surface(frame)[0] if pane.moving is None else pane.moving.vertices[pane.keyframe]
+        self.data.point_data["rgb"], self.data.point_data[REST] = material_hues(rest), checker_places(rest)
 
     def forget(self) -> None:
         """The vertices are others now: colours are taken anew."""
-        self._colors = None
+        self._painted = False
 
 
 class CloudActor:

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
+from warpdef.apps.viewer.checker import SHADE, checker_places
 
-def material_colors(vertices: np.ndarray, cells: int = 20) -> np.ndarray:
-    """Colours that make sliding visible: a hue by place, and a checker of ``cells`` cells along the longest side.
 
-    Args:
-        vertices: the keyframe's, shape (V, 3); the colours then stay with the vertices.
+def material_hues(rest: np.ndarray) -> np.ndarray:
+    """A hue by place for every vertex of a shape, (V, 3): (V, 3) uint8."""
+    low, high = rest.min(axis=0), rest.max(axis=0)
+    sides = high - low
+    place = (rest - low) / np.where(sides > 0.0, sides, 1.0)
+    return np.rint((0.15 + 0.85 * place) * 255).astype(np.uint8)
+
+
+def material_colors(rest: np.ndarray) -> np.ndarray:
+    """The hues with the checker at the vertices, for what cannot compute it at every pixel; see ``checker``.
+
+    Args: rest: the keyframe's vertices, shape (V, 3); the colours then stay with the vertices.
 
     Returns:
         Shape (V, 3) uint8.
     """
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    sides = high - low
-    place = (vertices - low) / np.where(sides > 0.0, sides, 1.0)
-    cell = np.floor((vertices - low) * (cells / (float(sides.max()) or 1.0)))
-    shade = np.where(cell.sum(axis=1) % 2 == 0, 1.0, 0.78)[:, None]
-    return np.rint((0.15 + 0.85 * place) * shade * 255).astype(np.uint8)
+    dark = np.floor(checker_places(rest)).sum(axis=1) % 2 != 0
+    return np.rint(material_hues(rest) * np.where(dark, SHADE, 1.0)[:, None]).astype(np.uint8)
 
 
 def spread_out_vertices(vertices: np.ndarray, count: int) -> np.ndarray:

@@ -32,6 +32,7 @@ class Pane:
     colouring: the measures that the mesh can be coloured by
     keyframe:  frame that the mesh was built on
     against:   what the error is the distance to
+    rest:      places that the colours of the material come from; None: the keyframe's   (V, 3)
     """
 
     title: str
@@ -41,6 +42,7 @@ class Pane:
     colouring: VertexMeasures | None = None
     keyframe: int = 0
     against: str = ""
+    rest: np.ndarray | None = None
 
     def surface(self, frame: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Vertices (V, 3) and faces (F, 3) of a frame."""

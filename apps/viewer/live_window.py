@@ -65,7 +65,6 @@ def show(folder: Path, title: str, goes_on: Any) -> None:
     import numpy as np
 
     from warpdef.apps.viewer.actors import Look
-    from warpdef.apps.viewer.colouring import material_colors
     from warpdef.apps.viewer.content import Content, Pane
     from warpdef.apps.viewer.player import Player
     from warpdef.apps.viewer.scene import Scene
@@ -79,7 +78,7 @@ def show(folder: Path, title: str, goes_on: Any) -> None:
     clouds = [arrays[name] for name in sorted(arrays) if name.startswith("cloud_")]
     meshes = MeshSequence(np.array(shared), arrays["faces"])
     # Colours stay with the vertices from the first mesh on.
-    pane = Pane("reconstruction", meshes, clouds, material_colors(meshes.vertices[0]))
+    pane = Pane("reconstruction", meshes, clouds, rest=meshes.vertices[0])
     content = Content([pane], tuple(arrays["names"].tolist()), str(arrays["up"]))
     scene = Scene(content, off_screen=False, size=(960, 720), look=Look())
     try:

@@ -189,7 +189,7 @@ class Scene:
         import numpy as np
         import pyvista
 
-        from warpdef.apps.viewer.colouring import material_colors, spread_out_vertices
+        from warpdef.apps.viewer.colouring import material_hues, spread_out_vertices
 
         for index, pane in enumerate(self.content.panes):
             if (
@@ -205,7 +205,7 @@ class Scene:
                 points = vertices[:, chosen].transpose(1, 0, 2).reshape(-1, 3).astype("f4")
                 ways = np.column_stack([np.full(count, length), np.arange(count * length).reshape(count, length)])
                 lines = pyvista.PolyData(points, lines=ways.ravel())
-                colors = material_colors(at_keyframe) if pane.colors is None else pane.colors
+                colors = material_hues(at_keyframe) if pane.colors is None else pane.colors
                 lines.point_data["rgb"] = np.repeat(colors[chosen], length, axis=0)
                 self.plotter.subplot(0, index)
                 self.trails[index] = self.plotter.add_mesh(
