@@ -120,7 +120,7 @@ def view(
         look = Look(color, cloud, trajectories, wireframe, not flat)
         _check_look(content, look)
         if html is not None:
-            _write_html(content, look, html, fps, frame, stand)
+            _write_html(content, look, html, fps, frame, stand, output.resolve().name)
         if probe is not None:
             probe.require()
     finally:
@@ -154,11 +154,11 @@ def _check_look(content: Content, look: Look) -> None:
         raise InputError("--cloud: expected the clouds that the result was made from; give --input")
 
 
-def _write_html(content: Content, look: Look, path: Path, fps: float, frame: int, stand: Stand) -> None:
+def _write_html(content: Content, look: Look, path: Path, fps: float, frame: int, stand: Stand, name: str) -> None:
     from warpdef.apps.viewer.html import write_html
 
     started = time.perf_counter()
-    write_html(content, look, path, fps, frame, stand)
+    write_html(content, look, path, fps, frame, stand, name)
     _report(path, started, f"{len(content)} frames")
 
 

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from present import present
 from view_samples import BAR, VERTICES, save_clouds, save_run, save_truth
 
 from warpdef.apps.main import run
+from warpdef.apps.viewer.page_data import lower_neighbours, pack_moving
 
 BROWSER = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)
 
@@ -25,8 +27,36 @@ def scene_of(page: Path) -> dict:
     return json.loads(scene)
 
 
-def decoded(text: str, kind: str) -> np.ndarray:
-    return np.frombuffer(base64.b64decode(text), kind)
+def inflated(text: str, kind: str = "<u1") -> np.ndarray:
+    """Numbers that lie byte by byte, the lowest first, deflated."""
+    size = np.dtype(kind).itemsize
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), "u1").reshape(size, -1)
+    return np.ascontiguousarray(planes.T).view(kind).reshape(-1)
+
+
+def unfolded(text: str, kind: str) -> np.ndarray:
+    folded = inflated(text, kind).astype(np.int64)
+    return np.where(folded % 2, -(folded + 1) // 2, folded // 2)
+
+
+def undone(text: str, kind: str, frames: int, parents: list[int]) -> np.ndarray:
+    """What moves, (frames, V, columns): sums over the parents, then over the frames."""
+    change = unfolded(text, kind).reshape(frames, -1, len(parents))
+    for v, parent in enumerate(parents[1:], 1):
+        change[:, :, v] += change[:, :, parent]
+    return (np.cumsum(change, axis=0) % 2 ** (8 * np.dtype(kind).itemsize)).transpose(0, 2, 1)
+
+
+def parents_of(faces: np.ndarray, count: int) -> list[int]:
+    """Of each vertex the neighbour with the largest index below its own."""
+    near: list[set[int]] = [set() for _ in range(count)]
+    for face in faces.tolist():
+        for v in face:
+            near[v] |= {u for u in face if u < v}
+    return [max(lower, default=v - 1) for v, lower in enumerate(near)]
+
+
+PARENTS = parents_of(BAR.faces, VERTICES.shape[1])
 
 
 def write(tmp_path: Path, *arguments: str, vertices: np.ndarray = VERTICES) -> Path:
@@ -41,14 +71,39 @@ def test_the_motion_is_in_the_page(tmp_path):
     scene = scene_of(write(tmp_path))
     (pane,) = scene["panes"]
     low, size = np.array(scene["low"]), np.array(scene["size"])
-    stored = decoded(pane["positions"], "<u2").reshape(VERTICES.shape) / 65535
+    stored = undone(pane["positions"], "<u2", 5, PARENTS) / 65535
     np.testing.assert_allclose(low + size * stored, VERTICES, rtol=0, atol=size.max() / 65535)
-    np.testing.assert_array_equal(decoded(pane["faces"], "<u4").reshape(-1, 3), BAR.faces)
-    assert len(decoded(pane["colors"], "u1")) == VERTICES.shape[1] * 3
-    cloud = low + size * decoded(pane["cloud"], "<u2").reshape(-1, 3) / 65535
+    np.testing.assert_array_equal(np.cumsum(unfolded(pane["faces"], "<u4")).reshape(-1, 3), BAR.faces)
+    assert len(inflated(pane["colors"])) == VERTICES.shape[1] * 4
+    cloud = low + size * undone(pane["cloud"], "<u2", 1, list(range(-1, 299)))[0] / 65535
     assert pane["cloudCounts"] == [60] * 5
     np.testing.assert_allclose(np.sort(cloud[:60], 0), np.sort(BAR.clouds[0], 0), rtol=0, atol=size.max() / 65535)
     assert (scene["frames"], scene["fps"], scene["names"][4]) == (5, 12.0, "scan4.ply")
+
+
+def test_the_page_says_what_it_is(tmp_path):
+    text = write(tmp_path).read_text(encoding="utf-8")
+    about = f"one moving mesh, 5 frames, {VERTICES.shape[1]:,} vertices, {len(BAR.faces):,} triangles"
+    assert f"<title>out: {about}</title>" in text and f"<b>out</b> {about}" in text
+    assert run(["view", str(tmp_path / "out"), "--html", str(tmp_path / "b.html"), "--frames", ":1"]) == 0
+    assert "<title>out: one moving mesh, 1 frame, " in (tmp_path / "b.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_differences_of_any_size_come_back(kind):
+    """Those that wrap around, too; and vertices without neighbours, or twice in a face."""
+    faces = np.array([[0, 3, 2], [4, 4, 1], [6, 4, 2]])
+    parents = lower_neighbours(faces, 8)
+    assert parents.tolist() == [-1, 0, 0, 2, 2, 4, 4, 6]
+    values = np.random.default_rng(0).integers(0, np.iinfo(kind).max, (4, 8, 2), dtype=kind, endpoint=True)
+    stored = pack_moving(values, parents)
+    np.testing.assert_array_equal(undone(stored, np.dtype(kind).newbyteorder("<").str, 4, parents.tolist()), values)
+
+
+def test_what_moves_smoothly_is_small():
+    wave = 20000.0 + 10000.0 * np.sin(np.arange(40)[:, None, None] / 10.0 + BAR.vertices[0])
+    stored = pack_moving(wave.astype(np.uint16), np.array(PARENTS))
+    assert len(stored) < 0.7 * 2 * wave.size
 
 
 def test_flags_reach_the_page(tmp_path):
@@ -59,10 +114,12 @@ def test_flags_reach_the_page(tmp_path):
     assert (scene["cloud"], scene["wireframe"], scene["smooth"]) == (True, True, False)
     pane = scene["panes"][1]
     assert pane["label"] == "distance to surface, mm"
-    values = decoded(pane["values"], "u1").reshape(4, -1)
+    values = undone(pane["values"], "<u1", 4, PARENTS)
     low, high = pane["limits"]
     assert low == 0.0 and 0.03 < high <= 0.05  # the truth was moved by 0.05 along z
-    assert values.max() == 254 and len(decoded(pane["table"], "u1")) == 256 * 3
+    assert values.max() == 254 and len(inflated(pane["table"])) == 256 * 3
+    largest = re.fullmatch("ends at the 99th percentile; largest (.*)", pane["ends"])
+    assert largest and high <= float(largest[1]) <= 0.0501
     assert "colors" not in scene["panes"][2]
 
 
@@ -97,22 +154,44 @@ def test_changing_triangles_are_refused(tmp_path, capfd):
     assert not (tmp_path / "a.html").exists()
 
 
+def state_in_browser(page: Path, window: str = "800,600") -> dict[str, str]:
+    """What a page's root element says of it after two seconds of its own time, without a word of complaint."""
+    flags = "--headless --no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-sync"
+    flags += " --disable-component-update --use-angle=swiftshader --enable-unsafe-swiftshader"
+    flags += f" --user-data-dir={page.parent / 'profile'} --enable-logging=stderr --dump-dom --window-size={window}"
+    assert BROWSER is not None
+    command = [BROWSER, *flags.split(), "--virtual-time-budget=2000", page.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert re.findall(r".*CONSOLE.*", done.stderr) == []
+    return dict(re.findall(r'data-(\w+)="([^"]*)"', present(re.search("<html[^>]*>", done.stdout))[0]))
+
+
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 @pytest.mark.parametrize("side_by_side", [False, True])
 def test_it_moves_in_chromium(tmp_path, side_by_side):
     page = write(tmp_path, *(["--side-by-side", "--color", "error", "--cloud", "--flat"] if side_by_side else []))
-    flags = "--headless --no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-sync"
-    flags += " --disable-component-update --use-angle=swiftshader --enable-unsafe-swiftshader"
-    flags += f" --user-data-dir={tmp_path / 'profile'} --enable-logging=stderr --dump-dom"
-
     # The browser under load may draw a single picture in any time given: turn the page's own clock by hand.
     turn = "const seen = new Set(); for (let i = 1; i <= 30; ++i) { tick(last + 50); seen.add(root.frame); }"
+    unpack = """const pane = S.panes.find(pane => pane.faces), n = pane.count, rows = new Uint16Array(S.frames * n * 4);
+    const near = lowerNeighbours(await indices(pane.faces), n);
+    await moving(pane.positions, S.frames, n, 3, 2, near, rows, 0);
+    root.sum = rows.reduce((sum, row, i) => sum + row * (i % 97 + 1), 0);"""
+    after = f"started.then(async () => {{ {turn} root.seen = seen.size; {unpack} root.done = 1; }})"
     turned = tmp_path / "turned.html"
-    turned.write_text(page.read_text().replace("</body>", f"<script>{turn} root.seen = seen.size;</script></body>"))
+    turned.write_text(page.read_text().replace("</body>", f"<script>{after}</script></body>"))
 
-    command = [BROWSER, *flags.split(), "--virtual-time-budget=2000", turned.as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert re.findall(r".*CONSOLE.*", done.stderr) == []
-    state = dict(re.findall(r'data-(\w+)="([^"]*)"', present(re.search("<html[^>]*>", done.stdout))[0]))
+    state = state_in_browser(turned)
     assert state["ready"] == "1" and int(state["drawn"]) > 1 and "error" not in state
-    assert int(state["seen"]) == 5
+    assert int(state["seen"]) == 5 and state["done"] == "1"
+    scene = scene_of(page)
+    low, size = np.array(scene["low"]), np.array(scene["size"])
+    rows = np.zeros((*VERTICES.shape[:2], 4), dtype=int)
+    rows[..., :3] = np.rint((VERTICES - low) / size * 65535)
+    assert int(state["sum"]) == (rows.reshape(-1) * (np.arange(rows.size) % 97 + 1)).sum()
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+def test_panes_stack_in_a_narrow_window(tmp_path):
+    page = write(tmp_path, "--side-by-side")
+    columns = [int(state_in_browser(page, window)["columns"]) for window in ("1600,500", "500,1200")]
+    assert columns[0] == 3 and columns[1] < 3

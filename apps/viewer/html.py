@@ -1,13 +1,14 @@
 """A result as one web page: the numbers inside it, drawn by WebGL, without a server, a network or a library.
 
-Positions are stored as 16 bits along each axis of the motion's bounding box, so within 1/131,070 of its sides.
+Positions are stored as 16 bits along each axis of the motion's bounding box, so within 1/131,070 of its sides, and
+packed as ``viewer/page_data.py`` says.
 """
 
 from __future__ import annotations
 
-import base64
 import html
 import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,18 +21,26 @@ if TYPE_CHECKING:
     from warpdef.apps.viewer.camera import Stand
     from warpdef.apps.viewer.content import Content, Pane
 
-_STEPS = 65535
-
 
 def write_html(
-    content: Content, look: Look, path: Path, fps: float, frame: int = 0, stand: Stand | None = None
+    content: Content,
+    look: Look,
+    path: Path,
+    fps: float,
+    frame: int = 0,
+    stand: Stand | None = None,
+    name: str = "result",
 ) -> None:
     """Write the page; it appears at once or not at all.
+
+    Args:
+        name: what is shown, for the title.
 
     Raises:
         InputError: a pane whose triangles change, or the file cannot be written.
     """
-    from warpdef.apps.viewer.camera import MARGIN, VIEW_ANGLE, Stand, box_extent
+    from warpdef.apps.viewer.actors import point_spacing
+    from warpdef.apps.viewer.camera import VIEW_ANGLE, Stand
     from warpdef.apps.viewer.page import PAGE
     from warpdef.apps.viewer.script import SCRIPT
     from warpdef.files.disk import replacing
@@ -51,11 +60,11 @@ def write_html(
         "frame": frame,
         "up": content.up,
         "focus": ((content.bounds[0] + content.bounds[1]) / 2.0).tolist(),
-        "extent": box_extent(content.bounds, content.up, stand.azimuth, stand.elevation),
         "azimuth": stand.azimuth,
         "elevation": stand.elevation,
         "angle": VIEW_ANGLE,
-        "margin": MARGIN / stand.zoom,
+        "zoom": stand.zoom,
+        "spacing": next((point_spacing(pane.clouds[0]) for pane in content.panes if pane.clouds is not None), 0.0),
         "cloud": look.cloud,
         "wireframe": look.wireframe,
         "smooth": look.smooth,
@@ -63,14 +72,29 @@ def write_html(
     }
     # No frame's name may end the script, or begin a comment in it.
     text = json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c")
-    title = html.escape(content.panes[0].title)
+    filled = {"NAME": html.escape(name), "ABOUT": _about(content), "SCRIPT": SCRIPT, "SCENE": text}
     with replacing(path) as stream:
-        page = PAGE.replace("@TITLE@", title).replace("@SCRIPT@", SCRIPT).replace("@SCENE@", text)
-        stream.write(page.encode("utf-8"))
+        # All at once: what is filled in may itself look like a mark.
+        stream.write(re.sub("@([A-Z]+)@", lambda mark: filled[mark[1]], PAGE).encode("utf-8"))
+
+
+def _about(content: Content) -> str:
+    """What the page shows, in a few words."""
+    moving = next((pane.moving for pane in content.panes if pane.moving is not None), None)
+    frames = f"{len(content)} frame" + ("s" if len(content) != 1 else "")
+    if moving is None:
+        return f"clouds, {frames}"
+    return f"one moving mesh, {frames}, {moving.vertices.shape[1]:,} vertices, {len(moving.faces):,} triangles"
 
 
 def _pane(pane: Pane, content: Content, look: Look, low: np.ndarray, high: np.ndarray) -> dict[str, Any]:
-    import numpy as np
+    from warpdef.apps.viewer.page_data import (
+        lower_neighbours,
+        pack_clouds,
+        pack_indices,
+        pack_moving,
+        position_steps,
+    )
 
     packed: dict[str, Any] = {"title": pane.title}
     moving = pane.moving
@@ -79,23 +103,25 @@ def _pane(pane: Pane, content: Content, look: Look, low: np.ndarray, high: np.nd
             f"--html: the pane '{pane.title}': expected the same triangles in all frames, got others; leave it out"
         )
     if moving is not None:
-        packed["faces"] = _base64(moving.faces.astype("<u4"))
-        packed["count"] = moving.vertices.shape[1]
-        packed["positions"] = _base64(_steps(moving.vertices, low, high))
-        packed |= _colors(pane, content, look)
+        count = moving.vertices.shape[1]
+        parents = lower_neighbours(moving.faces, count)
+        packed |= {"faces": pack_indices(moving.faces), "count": count}
+        packed["positions"] = pack_moving(position_steps(moving.vertices, low, high), parents)
+        packed |= _colors(pane, content, look, parents)
     if pane.clouds is not None:
-        counts = [len(points) for points in pane.clouds]
-        packed["cloudCounts"] = counts
-        packed["cloud"] = _base64(_steps(np.concatenate(pane.clouds), low, high))
+        packed["cloudCounts"] = [len(points) for points in pane.clouds]
+        steps = [position_steps(points, low, high) for points in pane.clouds]
+        packed["cloud"] = pack_clouds(steps)
     return packed
 
 
-def _colors(pane: Pane, content: Content, look: Look) -> dict[str, Any]:
+def _colors(pane: Pane, content: Content, look: Look, parents: np.ndarray) -> dict[str, Any]:
     """Material colours, or a measure as bytes with the table that turns them into colours."""
     import numpy as np
 
     from warpdef.apps.viewer.actors import MATERIAL
     from warpdef.apps.viewer.colouring import material_colors
+    from warpdef.apps.viewer.page_data import deflated, pack_moving
     from warpdef.vertex_measures import MEASURES
 
     packed: dict[str, Any] = {}
@@ -104,7 +130,10 @@ def _colors(pane: Pane, content: Content, look: Look) -> dict[str, Any]:
         assert pane.moving is not None  # pages are made of meshes that move
         colors = material_colors(pane.moving.vertices[pane.keyframe])
     if look.color != "plain":
-        packed["colors"] = _base64(np.ascontiguousarray(colors))
+        # Four bytes a vertex, as graphics cards read them.
+        rows = np.full((len(colors), 4), 255, dtype=np.uint8)
+        rows[:, :3] = colors[:, :3]
+        packed["colors"] = deflated(rows)
     if pane.colouring is not None and look.color in pane.colouring.measures:
         from matplotlib import colormaps
 
@@ -114,22 +143,14 @@ def _colors(pane: Pane, content: Content, look: Look) -> dict[str, Any]:
         known = np.isfinite(values)
         share = np.clip((np.where(known, values, low) - low) / (high - low), 0.0, 1.0)
         # 255 stands for unknown.
-        packed["values"] = _base64(np.where(known, np.rint(share * 254), 255).astype("u1"))
+        steps = np.where(known, np.rint(share * 254), 255).astype(np.uint8)
+        packed["values"] = pack_moving(steps[:, :, None], parents)
         table = colormaps["coolwarm" if measure.diverging else "viridis"](np.linspace(0.0, 1.0, 255))
         table = np.concatenate([np.rint(table[:, :3] * 255), [[154, 154, 154]]])
-        packed |= {"table": _base64(table.astype("u1")), "limits": [low, high]}
+        packed |= {"table": deflated(table.astype(np.uint8)), "limits": [low, high]}
         packed["label"] = measure.label.format(content.unit)
+        most = float(np.abs(values[known]).max(initial=0.0))
+        packed["ends"] = "" if look.color == "confidence" else f"ends at the 99th percentile; largest {most:.3g}"
     elif look.color not in ("plain", MATERIAL):
         packed.pop("colors")
     return packed
-
-
-def _steps(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    import numpy as np
-
-    size = np.where(high > low, high - low, 1.0)
-    return np.rint((points - low) / size * _STEPS).clip(0, _STEPS).astype("<u2")
-
-
-def _base64(array: np.ndarray) -> str:
-    return base64.b64encode(array.tobytes()).decode("ascii")

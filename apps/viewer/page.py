@@ -1,6 +1,7 @@
-"""The web page of ``viewer/html.py``: markup and style; ``@TITLE@``, ``@SCENE@`` and ``@SCRIPT@`` are filled in.
+"""The web page of ``viewer/html.py``: markup and style; what stands between two @ is filled in.
 
-The root element tells its state in data attributes (``data-ready``, ``data-frame``, ``data-drawn``, ``data-error``),
+The root element tells its state in data attributes (``data-ready``, ``data-seconds`` until then,
+``data-frame``, ``data-drawn``, ``data-columns`` of panes, ``data-error``),
 for whoever watches the page from outside.
 """
 
@@ -10,33 +11,40 @@ PAGE = r"""<!DOCTYPE html>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,">
-<title>warpdef: @TITLE@</title>
+<title>@NAME@: @ABOUT@</title>
 <style>
 html, body { margin: 0; height: 100%; background: #fff; color: #20242c; font: 14px system-ui, sans-serif; }
 body { display: flex; flex-direction: column; }
 #view { flex: 1; min-height: 0; position: relative; }
 canvas { position: absolute; width: 100%; height: 100%; touch-action: none; cursor: grab; }
-#titles { position: absolute; top: 8px; left: 0; right: 0; display: flex; pointer-events: none; }
-#titles div { flex: 1; padding: 0 12px; font-weight: 600; }
-#bar { position: absolute; bottom: 8px; left: 50%; transform: translateX(-50%); text-align: center; font-size: 12px; }
-#bar canvas { position: static; display: block; width: 260px; height: 12px; cursor: default; }
-#ends { display: flex; justify-content: space-between; }
+#about { padding: 6px 12px 0; color: #5a6372; font-size: 12px;
+  white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
+#about b { color: #20242c; font-size: 14px; }
+#titles div { position: absolute; padding: 8px 12px; box-sizing: border-box; font-weight: 600; pointer-events: none;
+  white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
+#bar { align-self: center; width: min(420px, 80%); padding-bottom: 6px; text-align: center; font-size: 12px; }
+#bar canvas { position: static; display: block; width: 100%; height: 12px; }
+#ticks { position: relative; height: 16px; }
+#ticks span { position: absolute; white-space: nowrap; transform: translateX(-50%); }
+#ends { color: #5a6372; }
 #controls { display: flex; flex-wrap: wrap; gap: 10px; align-items: center; padding: 8px 12px; background: #f1f3f6; }
 #controls input[type=range] { flex: 1; min-width: 120px; }
 button, select { font: inherit; padding: 2px 10px; }
 #name { min-width: 9em; font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
 #message { position: absolute; inset: 40% 10% auto; text-align: center; }
+@media (max-width: 600px) { #controls { gap: 4px 8px; padding: 6px; font-size: 12px; } }
 [hidden] { display: none !important; }
 </style>
 </head>
 <body>
+<div id="about"><b>@NAME@</b> @ABOUT@</div>
 <div id="view">
 <canvas id="canvas"></canvas>
 <div id="titles"></div>
-<div id="bar" hidden><span id="label"></span><canvas id="ramp" width="255" height="1"></canvas>
-<div id="ends"><span id="least"></span><span id="most"></span></div></div>
 <p id="message" hidden></p>
 </div>
+<div id="bar" hidden><span id="label"></span><canvas id="ramp" width="255" height="1"></canvas>
+<div id="ticks"></div><span id="ends"></span></div>
 <div id="controls">
 <button id="play" title="space">play</button>
 <input id="slider" type="range" min="0" value="0" step="1" aria-label="frame">
@@ -46,7 +54,7 @@ button, select { font: inherit; padding: 2px 10px; }
 <label title="l"><input id="loop" type="checkbox" checked> loop</label>
 <label title="between frames"><input id="blend" type="checkbox" checked> smooth motion</label>
 <label title="s"><input id="smooth" type="checkbox"> smooth shading</label>
-<label title="w"><input id="wire" type="checkbox"> wireframe</label>
+<label title="w"><input id="wire" type="checkbox"> edges</label>
 <label title="p" id="cloudLabel"><input id="cloud" type="checkbox"> cloud</label>
 <button id="home" title="r">camera</button>
 </div>

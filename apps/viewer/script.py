@@ -1,71 +1,113 @@
-"""The script of the web page of ``viewer/html.py``: WebGL 2 and nothing else; one buffer holds all frames."""
+"""The web page's script, of which the drawing is here: WebGL 2 and nothing else; a buffer holds all frames.
 
-SCRIPT = r""""use strict";
-const root = document.documentElement.dataset, $ = id => document.getElementById(id);
-window.addEventListener("error", e => { root.error = e.message; say(e.message); });
-function say(text) { $("message").textContent = text; $("message").hidden = false; }
-const S = JSON.parse($("scene").textContent);
+Rows of a buffer are four numbers long (position and measure; normal), as graphics cards read them without conversion.
+"""
 
-function bytes(text) {
-  const raw = atob(text), out = new Uint8Array(raw.length);
-  for (let i = 0; i < raw.length; i++) out[i] = raw.charCodeAt(i);
-  return out;
-}
-const shorts = text => new Uint16Array(bytes(text).buffer);
+from warpdef.apps.viewer.script_controls import CONTROLS_SCRIPT
+from warpdef.apps.viewer.script_data import DATA_SCRIPT
 
+SCRIPT = (
+    DATA_SCRIPT
+    + r"""
 // Camera: angles about the focus; "up" is y or z of the data.
 const frameOf = S.up === "z" ? v => [v[0], -v[2], v[1]] : v => v;
 const opening = Math.tan(S.angle * Math.PI / 360);
-function usual() {
-  const [x, y, z] = S.extent, aspect = $("canvas").clientWidth / S.panes.length / $("canvas").clientHeight || 1;
-  const d = z + Math.max(y / opening, x / (opening * aspect)) * S.margin;
-  return { a: S.azimuth * Math.PI / 180, e: S.elevation * Math.PI / 180, d, f: S.focus.slice(), home: true };
-}
-let cam = usual();
-function axes() {
-  const ca = Math.cos(cam.a), sa = Math.sin(cam.a), ce = Math.cos(cam.e), se = Math.sin(cam.e);
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+let outline = new Float32Array(0), cam = null, tiles = { columns: 1, rows: 1, width: 1, height: 1 };
+function axesOf(a, e) {
+  const ca = Math.cos(a), sa = Math.sin(a), ce = Math.cos(e), se = Math.sin(e);
   return [[ca, 0, -sa], [-sa * se, ce, -ca * se], [sa * ce, se, ca * ce]].map(frameOf);
 }
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+// What is seen lies along the camera's axes at x, y, z: within the opening k of a camera at (cx, cy, cz) if
+// |x - cx| <= k (cz - z). Of all places of the motion only the largest sums and differences count.
+function fitted(a, e, kx, ky) {
+  const axes = axesOf(a, e), least = [Infinity, Infinity, Infinity], most = [-Infinity, -Infinity, -Infinity];
+  const plus = [-Infinity, -Infinity], minus = [-Infinity, -Infinity], f = S.focus;
+  for (let i = 0; i < outline.length; i += 3) {
+    const p = [outline[i] - f[0], outline[i + 1] - f[1], outline[i + 2] - f[2]], q = axes.map(axis => dot(axis, p));
+    for (let j = 0; j < 3; j++) { least[j] = Math.min(least[j], q[j]); most[j] = Math.max(most[j], q[j]); }
+    [kx, ky].forEach((k, j) => {
+      plus[j] = Math.max(plus[j], q[j] + k * q[2]);
+      minus[j] = Math.max(minus[j], k * q[2] - q[j]);
+    });
+  }
+  const size = least.map((l, j) => most[j] - l);
+  // Nothing may lie behind the camera, flat things seen along their plane neither.
+  let d = most[2] + 0.1 * Math.max(...size);
+  [kx, ky].forEach((k, j) => { d = Math.max(d, (plus[j] + minus[j]) / (2 * k)); });
+  return { d, size, aside: [0, 1].map(j => (plus[j] - minus[j]) / 2) };
+}
+function usual() {
+  const a = S.azimuth * Math.PI / 180, e = S.elevation * Math.PI / 180, { width, height } = tiles;
+  const top = Math.min(40, 0.15 * height), below = 12;  // a title stands above
+  const ky = opening * (height - top - below) / height, kx = opening * width / height * (1 - 24 / Math.max(width, 48));
+  const [right, above] = axesOf(a, e), fit = fitted(a, e, kx, ky), d = (fit.d || 1) / S.zoom;
+  const lift = fit.aside[1] + (top - below) / height * d * opening;
+  const f = S.focus.map((c, i) => c + fit.aside[0] * right[i] + lift * above[i]);
+  return { a, e, d, f, usual: d, home: true };
+}
+// Rows and columns of panes: those that show the figure largest, and leave a title its room.
+function arrange() {
+  const canvas = $("canvas"), w = canvas.clientWidth || 1, h = canvas.clientHeight || 1, n = S.panes.length;
+  const size = fitted(S.azimuth * Math.PI / 180, S.elevation * Math.PI / 180, 1, 1).size;
+  let best = -1;
+  for (let columns = 1; columns <= n; columns++) {
+    const rows = Math.ceil(n / columns), width = w / columns, height = h / rows;
+    const scale = Math.min(width / size[0], (height - 40) / size[1]) * (columns > 1 && width < 150 ? 0.1 : 1);
+    if (scale > best * 1.0001) { best = scale; tiles = { columns, rows, width, height }; }
+  }
+  const { columns, width, height } = tiles;
+  root.columns = columns;
+  tiles.places = S.panes.map((_, i) => {
+    const row = Math.floor(i / columns), inRow = Math.min(columns, n - row * columns);
+    return [(i % columns) * width + (w - inRow * width) / 2, row * height];
+  });
+  [...$("titles").children].forEach((title, i) => {
+    const [left, top] = tiles.places[i].map(c => `${c}px`);
+    Object.assign(title.style, { left, top, width: `${width}px` });
+  });
+  if (!cam || cam.home) cam = usual();
+  dirty = true;
+}
 function matrices(aspect) {
-  const [r, u, b] = axes(), eye = cam.f.map((c, i) => c + cam.d * b[i]);
-  const f = 1 / opening, reach = Math.hypot(...S.size) + cam.d;
-  const near = Math.max(cam.d / 200, cam.d - Math.hypot(...S.size) * 1.5), far = reach * 1.5;
-  const fx = f / aspect, fy = f;
-  const A = (near + far) / (near - far), B = 2 * near * far / (near - far);
+  const [r, u, b] = axesOf(cam.a, cam.e), eye = cam.f.map((c, i) => c + cam.d * b[i]);
+  const f = 1 / opening, around = Math.hypot(...S.size), near = Math.max(cam.d / 200, cam.d - 1.5 * around);
+  const far = 1.5 * (around + cam.d), A = (near + far) / (near - far), B = 2 * near * far / (near - far);
   const row = (v, s) => [s * v[0], s * v[1], s * v[2], -s * dot(v, eye)];
-  const X = row(r, fx), Y = row(u, fy), Z = row(b, A), W = row(b, -1);
+  const X = row(r, f / aspect), Y = row(u, f), Z = row(b, A), W = row(b, -1);
   Z[3] += B;
   const m = new Float32Array(16);
   for (let i = 0; i < 4; i++) { m[4 * i] = X[i]; m[4 * i + 1] = Y[i]; m[4 * i + 2] = Z[i]; m[4 * i + 3] = W[i]; }
   return [m, b, u];
 }
 
-const gl = $("canvas").getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
-if (!gl) { say("This page needs WebGL 2, which this browser does not offer."); root.error = "no WebGL 2"; }
+const gl = $("canvas").getContext("webgl2", { antialias: true });
+if (!gl) fail("This page needs WebGL 2, which this browser does not offer.");
 
 const VERTEX = `#version 300 es
-in vec3 p0; in vec3 p1; in vec3 n0; in vec3 n1; in vec3 color; in float value0; in float value1;
-uniform mat4 view; uniform vec3 low, size; uniform float mixing, pointSize; uniform int kind; uniform sampler2D table;
+in vec4 p0; in vec4 p1; in vec3 n0; in vec3 n1; in vec3 color;
+uniform mat4 view; uniform vec3 low, size; uniform float mixing, pointScale, pixel; uniform int kind;
+uniform sampler2D table;
 out vec3 tint, normal, place;
 void main() {
-  place = low + size * mix(p0, p1, mixing);
+  place = low + size * mix(p0.xyz, p1.xyz, mixing);
   normal = mix(n0, n1, mixing);
   tint = color;
   if (kind == 2) {
-    float v = value0 > 254.5 || value1 > 254.5 ? 255.0 : mix(value0, value1, mixing);
+    float a = p0.w * 65535.0, b = p1.w * 65535.0, v = a > 254.5 || b > 254.5 ? 255.0 : mix(a, b, mixing);
     tint = texture(table, vec2((v + 0.5) / 256.0, 0.5)).rgb;
   }
   gl_Position = view * vec4(place, 1.0);
-  gl_PointSize = pointSize;
+  gl_PointSize = clamp(pointScale / gl_Position.w, pixel, 6.0 * pixel);
 }`;
 const FRAGMENT = `#version 300 es
 precision highp float; precision highp int;
-in vec3 tint, normal, place; uniform vec3 toEye, above; uniform int shading; uniform vec3 plain; uniform int kind;
+in vec3 tint, normal, place; uniform vec3 toEye, above, plain; uniform int shading, kind;
 out vec4 result;
 void main() {
   vec3 base = kind == 0 ? plain : tint;
-  if (shading == 2) { result = vec4(base, 1.0); return; }
+  if (shading == 3 && length(gl_PointCoord - 0.5) > 0.5) discard;
+  if (shading >= 2) { result = vec4(base, 1.0); return; }
   vec3 n = shading == 1 ? normal : cross(dFdx(place), dFdy(place));
   n = normalize(n);
   if (dot(n, toEye) < 0.0) n = -n;
@@ -82,7 +124,7 @@ function program() {
     if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
     gl.attachShader(made, shader);
   }
-  ["p0", "p1", "n0", "n1", "color", "value0", "value1"].forEach((name, i) => gl.bindAttribLocation(made, i, name));
+  ["p0", "p1", "n0", "n1", "color"].forEach((name, i) => gl.bindAttribLocation(made, i, name));
   gl.linkProgram(made);
   if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(made));
   return made;
@@ -93,31 +135,6 @@ function buffer(data, target) {
   gl.bufferData(target, data, gl.STATIC_DRAW);
   return made;
 }
-
-// Vertex normals of every frame, four bytes each, once at the start.
-function normals(positions, faces, count) {
-  const out = new Int8Array(S.frames * count * 4), sum = new Float32Array(count * 3), s = S.size;
-  for (let t = 0; t < S.frames; t++) {
-    sum.fill(0);
-    const at = t * count * 3;
-    for (let i = 0; i < faces.length; i += 3) {
-      const a = 3 * faces[i], b = 3 * faces[i + 1], c = 3 * faces[i + 2];
-      const ux = (positions[at + b] - positions[at + a]) * s[0], vx = (positions[at + c] - positions[at + a]) * s[0];
-      const uy = (positions[at + b + 1] - positions[at + a + 1]) * s[1];
-      const vy = (positions[at + c + 1] - positions[at + a + 1]) * s[1];
-      const uz = (positions[at + b + 2] - positions[at + a + 2]) * s[2];
-      const vz = (positions[at + c + 2] - positions[at + a + 2]) * s[2];
-      const x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx;
-      for (const k of [a, b, c]) { sum[k] += x; sum[k + 1] += y; sum[k + 2] += z; }
-    }
-    for (let k = 0; k < count; k++) {
-      const l = 127 / (Math.hypot(sum[3 * k], sum[3 * k + 1], sum[3 * k + 2]) || 1), o = 4 * (t * count + k);
-      for (let i = 0; i < 3; i++) out[o + i] = Math.round(sum[3 * k + i] * l);
-    }
-  }
-  return out;
-}
-
 function texture(pixels) {
   const made = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, made);
@@ -127,40 +144,47 @@ function texture(pixels) {
   return made;
 }
 
-function prepare(pane) {
-  const made = { title: pane.title, table: texture(pane.table ? bytes(pane.table) : new Uint8Array(3)) };
+// About so many places of a pane, in input units, for the camera.
+function sample(rows, most) {
+  const step = 4 * Math.ceil(rows.length / 4 / most), out = [];
+  for (let i = 0; i < rows.length; i += step)
+    for (let c = 0; c < 3; c++) out.push(S.low[c] + S.size[c] * rows[i + c] / 65535);
+  return out;
+}
+async function prepare(pane) {
+  const made = { title: pane.title, measured: !!pane.values, outline: [] };
+  made.table = texture(pane.table ? await inflate(pane.table) : new Uint8Array(3));
   if (pane.faces) {
-    const faces = new Uint32Array(bytes(pane.faces).buffer), positions = shorts(pane.positions);
-    const seen = new Set(), lines = [];
-    for (let i = 0; i < faces.length; i++) {
-      const a = faces[i], b = faces[i % 3 === 2 ? i - 2 : i + 1], key = Math.min(a, b) * pane.count + Math.max(a, b);
-      if (!seen.has(key)) { seen.add(key); lines.push(a, b); }
-    }
-    Object.assign(made, { count: pane.count, corners: faces.length, ends: lines.length });
-    made.positions = buffer(positions, gl.ARRAY_BUFFER);
-    made.normals = buffer(normals(positions, faces, pane.count), gl.ARRAY_BUFFER);
+    const count = pane.count, faces = await indices(pane.faces), near = lowerNeighbours(faces, count);
+    const rows = new Uint16Array(S.frames * count * 4);
+    await moving(pane.positions, S.frames, count, 3, 2, near, rows, 0);
+    if (pane.values) await moving(pane.values, S.frames, count, 1, 1, near, rows, 3);
+    Object.assign(made, { count, triangles: faces, outline: sample(rows, 50000) });
+    made.rows = buffer(rows, gl.ARRAY_BUFFER);
+    made.normals = buffer(await normals(rows, faces, count), gl.ARRAY_BUFFER);
     made.faces = buffer(faces, gl.ELEMENT_ARRAY_BUFFER);
-    made.lines = buffer(new Uint32Array(lines), gl.ELEMENT_ARRAY_BUFFER);
-    if (pane.colors) made.colors = buffer(bytes(pane.colors), gl.ARRAY_BUFFER);
-    if (pane.values) made.values = buffer(bytes(pane.values), gl.ARRAY_BUFFER);
+    if (pane.colors) made.colors = buffer(await inflate(pane.colors), gl.ARRAY_BUFFER);
   }
   if (pane.cloud) {
-    made.cloud = buffer(shorts(pane.cloud), gl.ARRAY_BUFFER);
+    const total = pane.cloudCounts.reduce((a, b) => a + b, 0), rows = new Uint16Array(4 * total);
+    await moving(pane.cloud, 1, total, 3, 2, Int32Array.from({ length: total }, (_, i) => i - 1), rows, 0);
+    made.cloud = buffer(rows, gl.ARRAY_BUFFER);
     made.cloudCounts = pane.cloudCounts;
     made.cloudStarts = pane.cloudCounts.map((_, i) => pane.cloudCounts.slice(0, i).reduce((a, b) => a + b, 0));
+    if (!pane.faces) made.outline = sample(rows, 50000);
   }
   return made;
 }
 
-let P, U, panes = [], dirty = true, playing = false, at = S.frame, last = 0, drawn = 0;
-function attribute(index, source, size, kind, normalized, stride, offset) {
+let U, panes = [], dirty = true, playing = false, at = S.frame, last = 0, drawn = 0;
+function attribute(index, source, size, kind, normalized, offset) {
   if (!source) { gl.disableVertexAttribArray(index); return; }
   gl.bindBuffer(gl.ARRAY_BUFFER, source);
   gl.enableVertexAttribArray(index);
-  gl.vertexAttribPointer(index, size, kind, normalized, stride, offset);
+  gl.vertexAttribPointer(index, size, kind, normalized, kind === gl.UNSIGNED_SHORT ? 8 : 4, offset);
 }
-function drawPane(pane, x, width, height) {
-  gl.viewport(x, 0, width, height);
+function drawPane(pane, x, y, width, height, scale) {
+  gl.viewport(x, y, width, height);
   const [view, toEye, above] = matrices(width / height);
   gl.uniformMatrix4fv(U.view, false, view);
   gl.uniform3fv(U.toEye, toEye);
@@ -170,27 +194,44 @@ function drawPane(pane, x, width, height) {
   if (pane.faces) {
     gl.uniform1f(U.mixing, mixing);
     [now, next].forEach((t, i) => {
-      attribute(i, pane.positions, 3, gl.UNSIGNED_SHORT, true, 6, 6 * t * pane.count);
-      attribute(2 + i, pane.normals, 3, gl.BYTE, true, 4, 4 * t * pane.count);
-      attribute(5 + i, pane.values, 1, gl.UNSIGNED_BYTE, false, 1, t * pane.count);
+      attribute(i, pane.rows, 4, gl.UNSIGNED_SHORT, true, 8 * t * pane.count);
+      attribute(2 + i, pane.normals, 3, gl.BYTE, true, 4 * t * pane.count);
     });
-    attribute(4, pane.colors, 3, gl.UNSIGNED_BYTE, true, 3, 0);
-    gl.uniform1i(U.kind, pane.values ? 2 : pane.colors ? 1 : 0);
+    attribute(4, pane.colors, 4, gl.UNSIGNED_BYTE, true, 0);
+    gl.uniform1i(U.kind, pane.measured ? 2 : pane.colors ? 1 : 0);
     gl.uniform3f(U.plain, 0.76, 0.78, 0.82);
+    // A number's colour is the bar's, not a shade of it.
+    gl.uniform1i(U.shading, pane.measured ? 2 : $("smooth").checked ? 1 : 0);
     const wire = $("wire").checked;
-    gl.uniform1i(U.shading, wire ? 2 : $("smooth").checked ? 1 : 0);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, wire ? pane.lines : pane.faces);
-    gl.drawElements(wire ? gl.LINES : gl.TRIANGLES, wire ? pane.ends : pane.corners, gl.UNSIGNED_INT, 0);
+    if (wire) gl.enable(gl.POLYGON_OFFSET_FILL);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, pane.faces);
+    gl.drawElements(gl.TRIANGLES, pane.triangles.length, gl.UNSIGNED_INT, 0);
+    gl.disable(gl.POLYGON_OFFSET_FILL);
+    if (wire) {
+      if (!pane.lines) {
+        const lines = edges(pane.triangles, pane.count);
+        Object.assign(pane, { lines: buffer(lines, gl.ELEMENT_ARRAY_BUFFER), ends: lines.length });
+      }
+      gl.uniform1i(U.kind, 0);
+      gl.uniform1i(U.shading, 2);
+      gl.uniform3f(U.plain, 0.23, 0.26, 0.31);
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, pane.lines);
+      // Through edges that lie close together the colours are still to be seen.
+      gl.enable(gl.BLEND);
+      gl.drawElements(gl.LINES, pane.ends, gl.UNSIGNED_INT, 0);
+      gl.disable(gl.BLEND);
+    }
   }
   if (pane.cloud && (!pane.faces || $("cloud").checked)) {
     gl.uniform1f(U.mixing, 0);
     const t = Math.min(Math.round(at), S.frames - 1);
-    for (const i of [0, 1]) attribute(i, pane.cloud, 3, gl.UNSIGNED_SHORT, true, 6, 6 * pane.cloudStarts[t]);
-    for (const i of [2, 3, 4, 5, 6]) attribute(i, null);
+    for (const i of [0, 1]) attribute(i, pane.cloud, 4, gl.UNSIGNED_SHORT, true, 8 * pane.cloudStarts[t]);
+    for (const i of [2, 3, 4]) attribute(i, null);
     gl.uniform1i(U.kind, 0);
-    gl.uniform1i(U.shading, 2);
-    gl.uniform3f(U.plain, 0.82, 0.29, 0.36);
-    gl.uniform1f(U.pointSize, 2.5 * (window.devicePixelRatio || 1));
+    gl.uniform1i(U.shading, 3);
+    gl.uniform3f(U.plain, 0.27, 0.34, 0.42);
+    gl.uniform1f(U.pixel, scale);
+    gl.uniform1f(U.pointScale, 0.7 * S.spacing * height / (2 * opening));
     gl.drawArrays(gl.POINTS, 0, pane.cloudCounts[t]);
   }
 }
@@ -200,120 +241,17 @@ function draw() {
   const h = Math.max(1, Math.round(canvas.clientHeight * scale));
   if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-  const width = Math.floor(w / panes.length);
-  panes.forEach((pane, i) => drawPane(pane, i * width, width, h));
+  const width = Math.floor(tiles.width * scale), height = Math.floor(tiles.height * scale);
+  panes.forEach((pane, i) => {
+    const [left, top] = tiles.places[i].map(c => Math.round(c * scale));
+    drawPane(pane, left, h - top - height, width, height, scale);
+  });
   const frame = Math.min(Math.round(at), S.frames - 1);
   $("slider").value = frame;
-  $("name").textContent = `${frame}: ${S.names[frame]}`;
+  $("name").textContent = `frame ${frame} (0 to ${S.frames - 1}): ${S.names[frame]}`;
   root.frame = frame;
   root.drawn = ++drawn;
 }
-function tick(now) {
-  if (playing) {
-    // A page that slept goes on where it was; the first time stamp may lie before the start.
-    at += Math.max(0, Math.min(now - last, 250)) / 1000 * S.fps * Number($("speed").value);
-    const end = S.frames - ($("loop").checked ? 0 : 1);
-    if (at >= end) { if ($("loop").checked) at %= S.frames; else { at = end; play(false); } }
-    dirty = true;
-  }
-  last = now;
-  if (dirty) { dirty = false; draw(); }
-  requestAnimationFrame(tick);
-}
-function play(on) {
-  if (on && !$("loop").checked && at >= S.frames - 1) at = 0;
-  playing = on && S.frames > 1;
-  $("play").textContent = playing ? "pause" : "play";
-}
-function go(frame) { play(false); at = Math.max(0, Math.min(S.frames - 1, frame)); dirty = true; }
-const flip = id => { $(id).checked = !$(id).checked; dirty = true; };
-const KEYS = {
-  " ": () => play(!playing), ArrowRight: () => go((Math.round(at) + 1) % S.frames),
-  ArrowLeft: () => go((Math.round(at) + S.frames - 1) % S.frames), Home: () => go(0), End: () => go(S.frames - 1),
-  ArrowUp: () => faster(1), ArrowDown: () => faster(-1), l: () => flip("loop"), p: () => flip("cloud"),
-  w: () => flip("wire"), s: () => flip("smooth"), r: () => { cam = usual(); dirty = true; },
-};
-function faster(by) {
-  const s = $("speed");
-  s.selectedIndex = Math.max(0, Math.min(s.options.length - 1, s.selectedIndex + by));
-}
-
-function start() {
-  gl.clearColor(1, 1, 1, 1);
-  gl.enable(gl.DEPTH_TEST);
-  P = program();
-  gl.useProgram(P);
-  U = {};
-  for (const name of ["view", "low", "size", "mixing", "pointSize", "kind", "toEye", "above", "shading", "plain"])
-    U[name] = gl.getUniformLocation(P, name);
-  gl.uniform3fv(U.low, S.low);
-  gl.uniform3fv(U.size, S.size);
-  gl.uniform1f(U.pointSize, 3);
-  panes = S.panes.map(prepare);
-  for (const pane of panes)
-    $("titles").append(Object.assign(document.createElement("div"), { textContent: pane.title }));
-  $("slider").max = S.frames - 1;
-  $("smooth").checked = S.smooth;
-  $("wire").checked = S.wireframe;
-  $("cloud").checked = S.cloud;
-  $("cloudLabel").hidden = !panes.some(pane => pane.cloud && pane.faces);
-  const measured = S.panes.find(pane => pane.values);
-  if (measured) {
-    const ramp = $("ramp").getContext("2d"), image = ramp.createImageData(255, 1), table = bytes(measured.table);
-    for (let i = 0; i < 255; i++) image.data.set([table[3 * i], table[3 * i + 1], table[3 * i + 2], 255], 4 * i);
-    ramp.putImageData(image, 0, 0);
-    $("label").textContent = measured.label;
-    $("least").textContent = measured.limits[0].toPrecision(3);
-    $("most").textContent = measured.limits[1].toPrecision(3);
-    $("bar").hidden = false;
-  }
-  $("play").onclick = () => play(!playing);
-  $("home").onclick = KEYS.r;
-  $("slider").oninput = () => go(Number($("slider").value));
-  for (const id of ["wire", "smooth", "cloud", "blend"]) $(id).onchange = () => { dirty = true; };
-  window.onresize = () => { if (cam.home) cam = usual(); dirty = true; };
-  // A control that was clicked must not take the keys; the select keeps them while it is open.
-  document.querySelectorAll("button, input").forEach(e => e.addEventListener("change", () => e.blur()));
-  document.querySelectorAll("button").forEach(e => e.addEventListener("click", () => e.blur()));
-  window.addEventListener("keydown", e => {
-    if (e.ctrlKey || e.metaKey || e.altKey || e.target.tagName === "SELECT") return;
-    const action = KEYS[e.key] || KEYS[e.key.toLowerCase()];
-    if (action) { e.preventDefault(); action(); }
-  });
-  const canvas = $("canvas"), held = new Map();
-  canvas.onpointerdown = e => { canvas.setPointerCapture(e.pointerId); held.set(e.pointerId, e); };
-  canvas.onpointerup = canvas.onpointercancel = e => held.delete(e.pointerId);
-  canvas.onpointermove = e => {
-    const before = held.get(e.pointerId);
-    if (!before) return;
-    cam.home = false;
-    const dx = e.clientX - before.clientX, dy = e.clientY - before.clientY;
-    if (held.size === 2) {
-      const other = [...held.values()].find(o => o.pointerId !== e.pointerId), far = o =>
-        Math.hypot(o.clientX - other.clientX, o.clientY - other.clientY) || 1;
-      cam.d *= far(before) / far(e);
-    } else if (e.shiftKey || before.button === 2 || before.button === 1) {
-      const [r, u] = axes(), step = 2 * cam.d * opening / canvas.clientHeight;
-      cam.f = cam.f.map((c, i) => c - step * dx * r[i] + step * dy * u[i]);
-    } else {
-      cam.a -= dx * 0.008;
-      cam.e = Math.max(-1.55, Math.min(1.55, cam.e + dy * 0.008));
-    }
-    held.set(e.pointerId, { pointerId: e.pointerId, clientX: e.clientX, clientY: e.clientY, button: before.button });
-    dirty = true;
-  };
-  canvas.oncontextmenu = e => e.preventDefault();
-  canvas.addEventListener("wheel", e => {
-    e.preventDefault();
-    cam.d = Math.max(usual().d / 100, Math.min(usual().d * 10, cam.d * Math.exp(e.deltaY * 0.001)));
-    cam.home = false;
-    dirty = true;
-  }, { passive: false });
-  draw();
-  play(true);
-  last = performance.now();
-  root.ready = "1";
-  requestAnimationFrame(tick);
-}
-if (gl) start();
 """
+    + CONTROLS_SCRIPT
+)
