@@ -11,7 +11,7 @@ A room a file, in the order in which an iteration goes through them:
     chamfer, isometry       the loss terms and their gradients
     confidence, schedule    how far a frame is trusted; what changes from one iteration to the next
     graphs                  which nodes smooth which
-    cosine                  the Sobolev solve on full grids,
+    cosine, cosine_blocks   the Sobolev solve on full grids; in blocks, with a whole step of the descent,
     cholesky                on the template, factorised once,
     cg                      and on any graph: cg_functions, cg_kernels in one block a system
     adam, finite            the step; whether numbers are still numbers

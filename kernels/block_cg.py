@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from warpdef.kernels.blocks import BLOCK_OPTIONS, block_sum, lane, lanes, wait
+from warpdef.kernels.blocks import block_options, block_sum, lane, lanes, wait
 from warpdef.kernels.cg_functions import check_limits, ratio, worth_going_on
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
@@ -45,7 +45,7 @@ def apply_block_row(
 
 
 @sizes("threads iterations_out residual_out: T; row: V+1; column: E; matrix rhs inverse r p ap solution_out: T V")
-@wp.kernel(**BLOCK_OPTIONS)
+@wp.kernel(**block_options())
 def _solve_frames(
     # In:
     begin: int,

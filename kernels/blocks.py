@@ -8,7 +8,7 @@ On CUDA a block has ``LANES`` lanes. On the CPU it has one, which has all shares
 kernel is a serial loop there; a test may ask for more (``ways.going``), which Warp then runs as fibers. Every lane must
 come to every sum and every wait: they stand under conditions only where all lanes answer alike. Sums are added up in a
 fixed order: no float atomics, and the same bits in every run. A kernel for blocks is compiled for its own number of
-lanes, hence a module of its own (``BLOCK_OPTIONS``), and is launched with ``lanes_of`` its device.
+lanes, hence a module of its own (``block_options``), and is launched with ``lanes_of`` its device.
 """
 
 from __future__ import annotations
@@ -23,12 +23,10 @@ from warpdef.kernels.ways import LANES
 
 wp.set_module_options(MODULE_OPTIONS)
 
-BLOCK_OPTIONS: dict[str, Any] = {
-    "module": "unique",
-    "launch_bounds": 1024,
-    "module_options": MODULE_OPTIONS | {"block_dim": LANES},
-}
-"""Of kernels for blocks: registers for as many lanes as a block can have."""
+
+def block_options(lanes: int = LANES) -> dict[str, Any]:
+    """Of a kernel for blocks of so many lanes: its module, and registers for as many."""
+    return {"module": "unique", "launch_bounds": lanes, "module_options": MODULE_OPTIONS | {"block_dim": lanes}}
 
 
 @wp.func_native("return WP_TILE_THREAD_IDX;")

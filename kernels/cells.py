@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from warpdef.kernels.blocks import BLOCK_OPTIONS, block_max, lane, lanes, sum_before, wait
+from warpdef.kernels.blocks import block_max, block_options, lane, lanes, sum_before, wait
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.sizes import require, sizes
 from warpdef.kernels.ways import Way, lanes_of, way_of
@@ -178,7 +178,7 @@ def _sort_groups(
 
 
 @sizes("threads odometer: G; points cell last order_out sorted_out: N; offset: G+1; start_out: G X*Y*Z+1")
-@wp.kernel(**BLOCK_OPTIONS)
+@wp.kernel(**block_options())
 def _sort_groups_in_blocks(
     # In:
     begin: int,

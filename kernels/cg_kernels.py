@@ -7,7 +7,7 @@ from typing import Any
 
 import warp as wp
 
-from warpdef.kernels.blocks import BLOCK_OPTIONS, block_sum, lane, lanes, wait
+from warpdef.kernels.blocks import block_options, block_sum, lane, lanes, wait
 from warpdef.kernels.cg_functions import functions_for, worst_residual_sq, worth_going_on
 from warpdef.kernels.launching import MODULE_OPTIONS
 from warpdef.kernels.sizes import sizes
@@ -21,7 +21,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         "threads weight iterations_out residual_out: S; node x r p ap: N; first: S+1; row: N+1; column: E; rhs "
         "solution_out: F"
     )
-    @wp.kernel(**BLOCK_OPTIONS)
+    @wp.kernel(**block_options())
     def solve_systems(
         # In:
         begin: int,

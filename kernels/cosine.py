@@ -13,10 +13,11 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from warpdef.kernels.cosine_blocks import LANES, descend_in_blocks, padded_halves, solve_levels_in_blocks
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.levels import LevelTable, node8
 from warpdef.kernels.sizes import require_span, sizes
-from warpdef.kernels.ways import Way, way_of
+from warpdef.kernels.ways import Way, lanes_of, way_of
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -27,7 +28,7 @@ _RESOLUTION_MAX = 31  # level 16, the finest that the configuration allows
 # need only half of the matrix: h = n // 2 odd and m = n - h even vectors (n is odd). `halves` holds, one behind the
 # other, the even half (m x m) and the odd half (h x h), then both transposed. A few lines of nodes are done together,
 # four outputs at a time, so that what is loaded serves several products. A line is read before it is written, so all
-# but the first step happen in place. CPU only; CUDA has its own kernel below.
+# but the first step happen in place. CPU only; CUDA has ``cosine_blocks``.
 _PASSES = """
 #if !defined(__CUDA_ARCH__)
     typedef float one __attribute__((vector_size(32)));
@@ -176,58 +177,6 @@ def _solve_levels(
     )  # fmt: skip
 
 
-@sizes(
-    "threads values values_out: S M; levels: 2*L; node_level: M; lambdas matrix_offset eigenvalue_offset: L; "
-    "matrices: H; eigenvalues: E"
-)
-@wp.kernel
-def _cosine_axis(
-    # In:
-    axis: int,
-    backwards: int,
-    levels: wp.array[wp.int32],
-    node_level: wp.array[wp.int32],
-    lambdas: wp.array[wp.float32],
-    matrices: wp.array[wp.float32],
-    matrix_offset: wp.array[wp.int32],
-    eigenvalues: wp.array[wp.float32],
-    eigenvalue_offset: wp.array[wp.int32],
-    values: wp.array2d[node8],
-    # Out:
-    values_out: wp.array2d[node8],
-):
-    """CUDA: one thread a node, one pass along one axis; the last forward pass also divides by the eigenvalues."""
-    s, i = wp.tid()
-    level = node_level[i]
-    n = levels[2 * level]
-    begin = levels[2 * level + 1]
-    local = i - begin
-    x = local // (n * n)
-    y = (local // n) % n
-    z = local % n
-    k = x
-    step = n * n
-    if axis == 1:
-        k = y
-        step = n
-    if axis == 2:
-        k = z
-        step = 1
-    step_k = n
-    step_j = int(1)
-    if backwards != 0:
-        step_k = 1
-        step_j = n
-    m = matrix_offset[level] + k * step_k
-    total = node8()
-    for j in range(n):
-        total += matrices[m + j * step_j] * values[s, i + (j - k) * step]
-    if axis == 2 and backwards == 0:
-        e = eigenvalue_offset[level]
-        total = total / (1.0 + lambdas[level] * (eigenvalues[e + x] + eigenvalues[e + y] + eigenvalues[e + z]))
-    values_out[s, i] = total
-
-
 def cosine_matrix(n: int) -> np.ndarray:
     """The orthonormal DCT-II basis of a path of n nodes, one basis vector a row, shape (n, n) float64."""
     k, j = np.mgrid[0:n, 0:n]
@@ -262,37 +211,43 @@ class CosineSolver:
             flat = np.concatenate([r.ravel() for r in rows])
             return wp.array(flat, dtype=wp.float32, device=device), wp.array(offset, dtype=wp.int32, device=device)
 
-        self._device = device
+        self._device, self._way = device, way_of(device)
         self._levels = levels.to_device(device)
-        self._node_level = wp.array(levels.node_level(), dtype=wp.int32, device=device)
         self._lambdas = wp.array(lambdas, dtype=wp.float32, device=device)
-        eigenvalues = upload(mu)
-        self._halves = [*upload([mirrored_halves(n) for n in resolution]), *eigenvalues]
-        self._tables = [*upload([cosine_matrix(n) for n in resolution]), *eigenvalues]
-        # The CPU solves in place.
-        shape = (transition_count, levels.node_count)
-        self._way = way_of(device)
-        self._scratch = wp.zeros(shape, dtype=node8, device=device) if self._way is Way.WHOLE else None
+        halves = [mirrored_halves(n) if self._way is Way.SPANS else padded_halves(cosine_matrix(n)) for n in resolution]
+        self._tables = [self._levels, self._lambdas, *upload(halves), *upload(mu)]
+        self._lanes = lanes_of(device, LANES)
 
     def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None:
-        """Solve for transitions ``first .. last`` (last excluded); on CUDA for all of them.
+        """Solve for transitions ``first .. last`` (last excluded).
 
         Args:
             rhs, solution_out: shape (S, M) node8, not the same array.
         """
         require_span("transitions", first, last - first, len(rhs))
+        count = last - first
         if self._way is Way.SPANS:
-            inputs = [first, self._levels, self._lambdas, *self._halves, rhs, solution_out]
-            launch(_solve_levels, (last - first) * len(self._lambdas), inputs, self._device)
+            inputs = [first, *self._tables, rhs, solution_out]
+            launch(_solve_levels, count * len(self._lambdas), inputs, self._device)
             return
-        self.solve_by_axis(rhs, solution_out)
+        inputs = [first, count, *self._tables, rhs, solution_out]
+        launch(solve_levels_in_blocks, count * len(self._lambdas), inputs, self._device, self._lanes)
 
-    def solve_by_axis(self, rhs: wp.array, solution_out: wp.array) -> None:
-        """The same, one launch a pass: what CUDA runs."""
-        shared = [self._levels, self._node_level, self._lambdas, *self._tables]
-        targets = (wp.zeros_like(rhs) if self._scratch is None else self._scratch, solution_out)
-        source = rhs
-        for step, (axis, backwards) in enumerate([(0, 0), (1, 0), (2, 0), (2, 1), (1, 1), (0, 1)]):
-            target = targets[step % 2]
-            launch(_cosine_axis, rhs.shape, [axis, backwards, *shared, source, target], self._device)
-            source = target
+    @property
+    def descends(self) -> bool:
+        """Whether ``descend`` can: where work goes whole."""
+        return self._way is Way.WHOLE
+
+    def descend(
+        self, first: int, last: int, rate: wp.array, schedule: wp.array, betas: tuple[float, float], epsilon: float,
+        adj_x: wp.array, moments: tuple[wp.array, wp.array], u: wp.array, adj_u_out: wp.array, x_out: wp.array,
+    ) -> None:  # fmt: skip
+        """A step of the descent for transitions ``first .. last``: both solves with Adam between, ``adj_x`` cleared.
+
+        Args:
+            rate, schedule, betas, epsilon: see ``adam.adam``. moments: first and second. All others shape (S, M) node8.
+        """
+        require_span("transitions", first, last - first, len(u))
+        inputs = [first, last - first, *self._tables, rate, schedule, *betas, epsilon]
+        arrays = [adj_x, *moments, u, adj_u_out, x_out]
+        launch(descend_in_blocks, (last - first) * len(self._lambdas), [*inputs, *arrays], self._device, self._lanes)

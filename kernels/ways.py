@@ -42,9 +42,9 @@ def way_of(device: wp.Device) -> Way:
     return (_forced or Way.SPANS) if device.is_cpu else Way.WHOLE
 
 
-def lanes_of(device: wp.Device) -> int:
-    """Threads of a block: ``LANES`` on CUDA; on the CPU one, or inside ``going`` as many as asked for."""
-    return _forced_lanes if device.is_cpu else LANES
+def lanes_of(device: wp.Device, wanted: int = LANES) -> int:
+    """Threads of a block: those wanted on CUDA; on the CPU one, or inside ``going`` as many as asked for."""
+    return _forced_lanes if device.is_cpu else wanted
 
 
 @contextmanager

@@ -16,8 +16,8 @@ from warpdef.fit.workers import Team
 
 # launches, allocations
 BOUNDS = {
-    "iteration": (25, 0),
-    "iteration of the paper's descent": (88, 0),
+    "iteration": (12, 0),
+    "iteration of the paper's descent": (75, 0),
     "frame settled, a round": (12, 0),
     "round": (15, 0),
 }

@@ -21,7 +21,7 @@ from warpdef.kernels.finite import flag_not_finite
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import template_gradient
 from warpdef.kernels.schedule import SCHEDULE_SIZE, advance
-from warpdef.kernels.vectors import clear_nodes, copy_vectors
+from warpdef.kernels.vectors import copy_vectors
 
 _SOLVES = ("grid_gradient", "grid_value", "shape_gradient", "shape_value")  # whose last solutions are state
 
@@ -171,13 +171,6 @@ class Optimiser:
     def _place_template(self) -> None:
         copy_vectors(self.shape.x, frame_of(self.objective.vertices, self.problem.transitions.keyframe))
 
-    def _descend(self, first: int, last: int) -> None:
-        """Adam on the grids of transitions ``first .. last``; then their gradient is cleared for the next iteration."""
-        nodes = self.problem.levels.node_count
-        span = (first * nodes, (last - first) * nodes)
-        self.grids.descend(*span)
-        clear_nodes(*span, self.grids.adj_x.flatten())
-
     def _gather_shape(self, warmup: bool) -> None:
         o, key = self.objective, self.problem.transitions.keyframe
         follow = self.problem.config.loss.template_follows_all and not warmup
@@ -188,14 +181,13 @@ class Optimiser:
     def _guide_phases(self) -> list[Phase]:
         """Grids alone: no vertex is moved, and the template stays as it is."""
         grids, spans, everything = self.grids, self.problem.transition_spans(), (0, len(self.problem.transitions))
-        calls = (grids.solve_gradient, self._descend, grids.solve_values)
         if not grids.direct:
-            last = [Phase("descend", [partial(_span_in_turn, calls, a, b) for a, b in spans])]
+            last = [Phase("descend", [partial(grids.step, a, b) for a, b in spans])]
         else:
             last = [
-                Phase("gradient solves", [partial(calls[0], *everything)], direct=True),
-                Phase("descend", [partial(self._descend, a, b) for a, b in spans]),
-                Phase("value solves", [partial(calls[2], *everything)], direct=True),
+                Phase("gradient solves", [partial(grids.solve_gradient, *everything)], direct=True),
+                Phase("descend", [partial(grids.descend_grids, a, b) for a, b in spans]),
+                Phase("value solves", [partial(grids.solve_values, *everything)], direct=True),
             ]
         return [Phase("advance", [self._advance]), *self.objective.phases(warmup=True), *last]
 
@@ -212,14 +204,14 @@ class Optimiser:
             return [partial(_span_in_turn, calls, a, b) for a, b in spans]
 
         if not grids.direct:
-            on_grids = each(*scatter, grids.solve_gradient, self._descend, grids.solve_values)
+            on_grids = each(*scatter, grids.step)
             last = [Phase("descend", [_in_turn([gather, *of_shape, place_shape]), *on_grids])]
         else:
             everything = (0, len(self.problem.transitions))
             last = [
                 Phase("gather", [gather, *each(*scatter)]),
                 Phase("gradient solves", [partial(grids.solve_gradient, *everything), of_shape[0]], direct=True),
-                Phase("descend", [of_shape[1], *each(self._descend)]),
+                Phase("descend", [of_shape[1], *each(grids.descend_grids)]),
                 Phase("value solves", [partial(grids.solve_values, *everything), place_shape], direct=True),
             ]
         return [Phase("advance", [self._advance]), *o.phases(warmup), *last]

@@ -14,6 +14,7 @@ from warpdef.config import OptimiserConfig
 from warpdef.fit.pool import Pool
 from warpdef.fit.sobolev import Solver
 from warpdef.kernels.adam import adam
+from warpdef.kernels.vectors import clear_nodes
 
 
 class Parameters:
@@ -68,3 +69,22 @@ class Parameters:
     def solve_values(self, first: int, last: int) -> None:
         """x from u."""
         self.value_solver.solve(self.u, self.x, first, last)
+
+    def step(self, first: int, last: int) -> None:
+        """All three for the grids of transitions ``first .. last``, in one launch where the solver can."""
+        at_once = getattr(self.gradient_solver, "descend", None)
+        if at_once is not None:
+            c, moments = self._config, (self.first_moment, self.second_moment)
+            how = (self._rate, self._schedule, (c.beta1, c.beta2), c.epsilon)
+            at_once(first, last, *how, self.adj_x, moments, self.u, self.adj_u, self.x)
+            return
+        self.solve_gradient(first, last)
+        self.descend_grids(first, last)
+        self.solve_values(first, last)
+
+    def descend_grids(self, first: int, last: int) -> None:
+        """Adam on the grids of transitions ``first .. last``; then their gradient is cleared for the next iteration."""
+        nodes = self.u.shape[1]
+        span = (first * nodes, (last - first) * nodes)
+        self.descend(*span)
+        clear_nodes(*span, self.adj_x.flatten())

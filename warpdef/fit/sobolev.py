@@ -71,8 +71,9 @@ class _Cosine:
     direct = False
 
     def __init__(self, levels: LevelTable, lambdas: np.ndarray, transitions: int, device: wp.Device) -> None:
-        self._solver = CosineSolver(levels, lambdas, transitions, device)
-        self.solve = self._solver.solve
+        solver = CosineSolver(levels, lambdas, transitions, device)
+        self.solve = solver.solve
+        self.descend = solver.descend if solver.descends else None
 
     def look(self, report: SolveReport) -> None:
         """Exact: nothing to tell."""
