@@ -68,7 +68,7 @@ def experiment(
         workers: here: one run after the other; dask: over a Dask cluster, runs of a worker that dies done again.
         cluster: Address of a running Dask scheduler, as tcp://host:8786; workers on this machine if not given.
         worker_count: Workers on this machine; one a GPU, or one for every two cores (or --threads) if not given.
-        device: auto, cpu, or cuda:N.
+        device: auto, cpu, cuda or cuda:N; with --workers dask, auto and cuda are all GPUs, a worker each.
         threads: CPU threads of a run; all, or a worker's share, if not given.
         keep: Keep the reconstructions too, as run folders under OUTPUT/meshes.
         again: Do finished runs again.

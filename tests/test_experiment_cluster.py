@@ -15,10 +15,11 @@ from typing import Any
 import pytest
 from experiment_samples import tiny_plan, write_ball
 
-from warpdef.apps.experiments.cluster import _connect, _of_this_code, local_slots, on_cluster
+from warpdef.apps.experiments.cluster import Slot, _alone, _connect, _of_this_code, local_slots, on_cluster
 from warpdef.apps.experiments.run import Run, with_values
 from warpdef.apps.experiments.session import here
 from warpdef.datasets import find_sequences
+from warpdef.device import find_device
 from warpdef.errors import DeviceError, InputError, MissingPackageError
 
 distributed = pytest.importorskip("distributed")
@@ -126,19 +127,69 @@ def test_slices_do_not_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
         local_slots("cuda:99", None, None)
 
 
-def test_one_worker_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def two_gpus(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine of eight cores and two GPUs, as Warp tells of it."""
     from types import SimpleNamespace
 
     import warp as wp
 
-    gpus = [SimpleNamespace(alias=f"cuda:{i}", is_cuda=True) for i in range(2)]
-    monkeypatch.setattr("warpdef.device.find_device", lambda name: gpus[0])
-    monkeypatch.setattr(wp, "get_cuda_devices", lambda: gpus)
+    gpus = {f"cuda:{i}": SimpleNamespace(alias=f"cuda:{i}", is_cuda=True) for i in range(2)}
+    monkeypatch.setattr("warpdef.device.find_device", lambda name: gpus.get(name, gpus["cuda:0"]))
+    monkeypatch.setattr(wp, "get_cuda_devices", lambda: list(gpus.values()))
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)
-    slots = local_slots("auto", None, None)
-    assert [slot.device for slot in slots] == ["cuda:0", "cuda:1"]
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+
+
+@pytest.mark.parametrize("device", ["auto", "cuda"])
+def test_one_worker_a_gpu(device: str, two_gpus: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    slots = local_slots(device, None, None)
+    assert [(slot.device, slot.visible) for slot in slots] == [("cuda:0", "0"), ("cuda:1", "1")]
     assert [slot.cores for slot in slots] == [(0, 1, 2, 3), (4, 5, 6, 7)]
-    assert [slot.device for slot in local_slots("cuda:0", None, None)] == ["cuda:0"]
+    assert [slot.device for slot in local_slots(device, None, 3)] == ["cuda:0", "cuda:1", "cuda:0"]
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "5, GPU-7a")  # ours are two of that machine's
+    assert [slot.visible for slot in local_slots(device, None, None)] == ["5", "GPU-7a"]
+
+
+def test_a_gpu_by_its_number_is_the_only_one(two_gpus: None) -> None:
+    assert [(slot.device, slot.visible) for slot in local_slots("cuda:1", None, None)] == [("cuda:1", "1")]
+
+
+def test_cpu_workers_see_what_they_saw() -> None:
+    assert local_slots("cpu", 1, 1)[0].visible == ""
+
+
+def test_a_worker_sees_its_gpu_alone() -> None:
+    """Two processes, each with a device of its own, set before anything there could start CUDA; and it stays so."""
+    core = min(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 0
+    slots = [Slot(f"cuda:{i}", (core,), str(i)) for i in range(2)]
+    with ExitStack() as stack:
+        client = _connect("", len(slots), stack)
+        workers = client.scheduler_info(n_workers=-1)["workers"]
+        for address, worker in workers.items():
+            for _ in range(2):
+                told = client.submit(_on_a_slot, slots, workers=[address], pure=False).result()
+                assert told == ("cuda:0", str(worker["name"]), 1)
+
+
+def _tell_device(run: Any, device: str, threads: int | None, keep: Any) -> tuple[str, str, int | None]:
+    return device, os.environ.get("CUDA_VISIBLE_DEVICES", ""), threads
+
+
+def _on_a_slot(slots: list[Any]) -> Any:
+    """In a worker: what a run there would be given."""
+    from unittest import mock
+
+    from warpdef.apps.experiments import cluster
+
+    with mock.patch.object(cluster, "execute", _tell_device):
+        return cluster._work(None, slots, "cuda", None, None)  # type: ignore[arg-type]
+
+
+def test_where_warp_runs_already_the_device_keeps_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    find_device("cpu")
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    assert _alone(Slot("cuda:1", (0,), "1")) == "cuda:1" and "CUDA_VISIBLE_DEVICES" not in os.environ
 
 
 def test_our_own_cluster_is_for_this_user_alone() -> None:

@@ -20,10 +20,13 @@ from warpdef.kernels.ways import way_of as way_of
 DRIVER_RELEASES = {13: "R580"}
 """First release of NVIDIA's driver for Linux that serves a major version of CUDA."""
 _told: list[str] = []
+_runs = False
 
 
 def start_warp() -> None:
     """Initialise Warp without its greeting, and without its native warning where no CUDA driver is installed."""
+    global _runs
+    _runs = True
     wp.config.log_level = logging.WARNING
     ensure_cache()
     if _has_driver():
@@ -38,6 +41,11 @@ def start_warp() -> None:
     finally:
         os.dup2(kept, 2)
         os.close(kept)
+
+
+def warp_runs() -> bool:
+    """Whether Warp, and with it CUDA, was started in this process: what is visible is settled then."""
+    return _runs
 
 
 def _has_driver() -> bool:

@@ -25,17 +25,21 @@ _LOOPBACK = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Slot:
-    """What a local worker may use: a device, and the cores of its slice."""
+    """What a local worker may use: a device, and the cores of its slice.
+
+    visible: CUDA_VISIBLE_DEVICES of its process, which then sees its GPU as ``cuda:0`` and no other; empty on the CPU.
+    """
 
     device: str
     cores: tuple[int, ...]
+    visible: str = ""
 
 
 def local_slots(device: str, threads: int | None, workers: int | None) -> list[Slot]:
     """One slot a worker: every GPU its own, else slices of this process's cores.
 
     Args:
-        device: ``auto``, ``cpu`` or ``cuda:N``.
+        device: ``auto`` and ``cuda`` are every GPU there is; ``cpu``, ``cuda:N``.
         threads: cores a slice; 2 if not given.
         workers: how many; as many as there are GPUs or slices if not given.
 
@@ -56,15 +60,24 @@ def local_slots(device: str, threads: int | None, workers: int | None) -> list[S
             )
         return [Slot("cpu", tuple(cores[i * size : (i + 1) * size])) for i in range(count)]
     devices = [target.alias]
-    if device == "auto":
+    if device in ("auto", "cuda"):
         import warp as wp
 
         devices = [d.alias for d in wp.get_cuda_devices()]
     count = workers or len(devices)
     size = max(1, len(cores) // count)
     return [
-        Slot(devices[i % len(devices)], tuple(cores[i * size : (i + 1) * size]) or tuple(cores)) for i in range(count)
+        Slot(devices[i % len(devices)], tuple(cores[i * size : (i + 1) * size]) or tuple(cores), visible)
+        for i in range(count)
+        for visible in [_visible(devices[i % len(devices)])]
     ]
+
+
+def _visible(alias: str) -> str:
+    """What CUDA_VISIBLE_DEVICES must be for a process that is to see this device of ours alone."""
+    number, ours = int(alias.removeprefix("cuda:")), os.environ.get("CUDA_VISIBLE_DEVICES", "")
+    names = [name.strip() for name in ours.split(",")] if ours else []
+    return names[number] if number < len(names) else str(number)
 
 
 def on_cluster(
@@ -79,7 +92,7 @@ def on_cluster(
     Args:
         address: of a Dask scheduler, as ``tcp://host:8786``; its workers need warpdef, the data under the same path,
             and one thread each (``dask worker ADDRESS --nthreads 1``). Empty: local workers.
-        device, threads: for every run; local workers take a GPU or a slice of cores each.
+        device, threads: for every run; local workers take a GPU of their own or a slice of cores each.
         workers: number of local workers.
         keep: as for ``execute``.
 
@@ -188,5 +201,18 @@ def _work(run: Run, slots: list[Slot], device: str, threads: int | None, keep: P
         slot = slots[name % len(slots)]
         if hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(0, slot.cores)  # this thread and those it starts
-        device, threads = slot.device, len(slot.cores)
+        device, threads = _alone(slot), len(slot.cores)
     return execute(run, device, threads, keep)
+
+
+def _alone(slot: Slot) -> str:
+    """The slot's device, by its name in this process, which from now on sees no other GPU.
+
+    CUDA reads what is visible when it starts, which is with Warp: by then it is too late, but the device is the same.
+    """
+    from warpdef.device import warp_runs
+
+    if not slot.visible or (warp_runs() and os.environ.get("CUDA_VISIBLE_DEVICES") != slot.visible):
+        return slot.device
+    os.environ["CUDA_VISIBLE_DEVICES"] = slot.visible
+    return "cuda:0"
