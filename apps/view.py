@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from pathlib import Path
@@ -36,6 +37,8 @@ def view(
     side_by_side: Flag = False,
     frames: Slice = "",
     color: Literal["template", "plain", "error", "stretch", "displacement", "confidence"] = "template",
+    clim: Annotated[tuple[float, float] | None, Parameter(allow_leading_hyphen=True)] = None,
+    cmap: str = "",
     cloud: Flag = False,
     trajectories: Flag = False,
     wireframe: Flag = False,
@@ -67,6 +70,8 @@ def view(
         frames: Frames of the result to show, start:stop:step; empty: all.
         color: template: colours that stay with the surface; error: distance to the truth's surface, or else of the
             input's points; stretch and displacement: against the keyframe; confidence: how far a place can be trusted.
+        clim: Ends of the colour bar, as 0 0.01; else 0, or its negative, and the 99th percentile.
+        cmap: Colours of the bar, by matplotlib's name, as magma or RdBu.
         cloud: Show the input cloud over the mesh.
         trajectories: Show the ways of some vertices.
         wireframe: Show the edges of the triangles on the surface.
@@ -117,7 +122,7 @@ def view(
         if frame >= len(content):
             raise InputError(f"--frame: expected 0..{len(content) - 1}, got {frame}")
         stand = Stand(azimuth, elevation, zoom)
-        look = Look(color, cloud, trajectories, wireframe, not flat)
+        look = Look(color, cloud, trajectories, wireframe, not flat, clim, cmap)
         _check_look(content, look)
         if html is not None:
             _write_html(content, look, html, fps, frame, stand, output.resolve().name)
@@ -150,6 +155,21 @@ def _check_look(content: Content, look: Look) -> None:
     """A measure or a cloud that was asked for must be there."""
     if look.color == "error" and "error" not in content.measures:
         raise InputError("--color error: expected something to measure against; give --truth or --input")
+    if (look.clim is not None or look.cmap) and look.color in ("template", "plain"):
+        raise InputError(
+            f"--clim and --cmap: expected a measure to colour by, got --color {look.color}; choose error, stretch, "
+            "displacement or confidence"
+        )
+    if look.clim is not None and not (math.isfinite(look.clim[0]) and look.clim[0] < look.clim[1] < math.inf):
+        raise InputError(f"--clim: expected two numbers, the lower first, got {look.clim[0]:g} {look.clim[1]:g}")
+    if look.cmap:
+        from matplotlib import colormaps
+
+        if look.cmap not in colormaps:
+            raise InputError(
+                f"--cmap: expected a colour map of matplotlib, as viridis, magma, cividis, coolwarm or RdBu, "
+                f"got {look.cmap}"
+            )
     if look.cloud and all(pane.clouds is None for pane in content.panes):
         raise InputError("--cloud: expected the clouds that the result was made from; give --input")
 

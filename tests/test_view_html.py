@@ -60,7 +60,7 @@ PARENTS = parents_of(BAR.faces, VERTICES.shape[1])
 
 
 def write(tmp_path: Path, *arguments: str, vertices: np.ndarray = VERTICES) -> Path:
-    out = save_run(tmp_path / "out", vertices)
+    out = tmp_path / "out" if (tmp_path / "out").is_dir() else save_run(tmp_path / "out", vertices)
     save_clouds(out / "clouds.npz")
     save_truth(out / "truth.npz", 0.05)
     assert run(["view", str(out), "--html", str(tmp_path / "a.html"), *arguments]) == 0
@@ -120,7 +120,15 @@ def test_flags_reach_the_page(tmp_path):
     assert values.max() == 254 and len(inflated(pane["table"])) == 256 * 3
     largest = re.fullmatch("ends at the 99th percentile; largest (.*)", pane["ends"])
     assert largest and high <= float(largest[1]) <= 0.0501
-    assert "colors" not in scene["panes"][2]
+    assert scene["panes"][2]["limits"] == [low, high] and "values" in scene["panes"][2]
+    assert "colors" not in scene["panes"][0]
+
+
+def test_chosen_ends_and_colours_reach_the_page(tmp_path):
+    usual = scene_of(write(tmp_path, "--color", "error"))["panes"][0]
+    chosen = scene_of(write(tmp_path, "--color", "error", "--clim", "-1", "2", "--cmap", "magma", "--overwrite"))
+    pane = chosen["panes"][0]
+    assert pane["limits"] == [-1.0, 2.0] and pane["table"] != usual["table"]
 
 
 def test_plain_pages_and_single_frames(tmp_path):

@@ -23,7 +23,7 @@ from warpdef.apps.viewer.probe import RenderingProbe
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.export.vertex_normals import vertex_normals
 from warpdef.geometry.triangles import unique_edges
-from warpdef.mesh import MeshSequence
+from warpdef.mesh import MeshSequence, TriMesh
 from warpdef.vertex_measures import VertexMeasures, edge_stretch, spread_over_vertices
 
 SPHERE, SPHERE_FACES = icosphere(2)
@@ -214,6 +214,27 @@ def test_a_demo_brings_its_own_clouds_and_truth(tmp_path):
     np.testing.assert_array_equal(np.sort(present(content.panes[0].clouds)[1], 0), np.sort(BAR.clouds[3], 0))
 
 
+def test_the_truths_error_is_the_way_back(tmp_path):
+    pytest.importorskip("gpytoolbox")
+    # The result lacks half of the bar: what it has lies on the truth, what it lacks is far from it.
+    out = save_run(tmp_path / "out", VERTICES * np.array([0.5, 1.0, 1.0], dtype=np.float32))
+    content = load_content(out, truth=save_truth(tmp_path / "t.npz"), side_by_side=True)
+    result, truth = content.panes
+    assert (result.against, truth.against) == ("the truth", "the reconstruction")
+    there, back = (present(pane.colouring).values("error", 2) for pane in (result, truth))
+    length = np.ptp(VERTICES[2][:, 0])
+    assert back.max() > 0.2 * length and back.max() > 3.0 * there.max()
+
+
+def test_the_truth_may_change_its_triangles(tmp_path):
+    pytest.importorskip("gpytoolbox")
+    faces = [BAR.faces, BAR.faces[::2]]
+    meshes = [TriMesh(BAR.vertices[0], f) for f in faces]
+    measures = VertexMeasures(meshes, truth=MeshSequence(np.stack([BAR.vertices[0]] * 2), BAR.faces))
+    assert measures.measures == ["error"]
+    np.testing.assert_allclose(measures.values("error", 1), 0.0, atol=1e-9)
+
+
 def test_the_runs_own_frames_of_the_input_are_taken(tmp_path):
     out = save_run(tmp_path / "out", VERTICES[1:4], frames="1:4")
     content = load_content(out, clouds=save_clouds(tmp_path / "c.npz"))
@@ -314,6 +335,10 @@ def test_no_screen_no_window(monkeypatch, tmp_path, capfd):
         (["--html", "a.html", "--color", "error"], ["--color error", "--truth or --input"]),
         (["--html", "a.html", "--cloud"], ["--cloud", "--input"]),
         (["--html", "a.html", "--color", "red"], ["red"]),
+        (["--html", "a.html", "--clim", "0", "1"], ["--clim", "a measure", "--color template"]),
+        (["--html", "a.html", "--color", "stretch", "--clim", "1", "-1"], ["--clim", "lower first", "1 -1"]),
+        (["--html", "a.html", "--color", "stretch", "--clim", "0", "nan"], ["--clim", "0 nan"]),
+        (["--html", "a.html", "--color", "stretch", "--cmap", "blues"], ["--cmap", "viridis", "got blues"]),
         (["--html", "a.html", "--fps", "0"], ["--fps"]),
         (["--html", "a.html", "--size", "big"], ["--size", "big"]),
         (["--html", "a.html", "--input", "absent.npz"], ["absent.npz"]),

@@ -85,6 +85,27 @@ def test_the_picture_is_of_the_mesh(out):
     assert not seen[:, [0, -1]].any() and not seen[-1].any()
 
 
+def test_chosen_ends_and_colours_change_the_picture(out):
+    error = shot(out, "--color", "error")
+    assert differs(shot(out, "--color", "error", "--clim", "0", "1"), error) > 0.01
+    assert differs(shot(out, "--color", "error", "--cmap", "magma"), error) > 0.01
+
+
+def test_the_bar_says_its_numbers_and_ends(out):
+    made = Scene(load_content(out), off_screen=True, size=(400, 300), look=Look("displacement", clim=(0.0, 2.0)))
+    try:
+        made.show(2)
+        bar = made.captions.bar
+        assert bar.labels == ["0", "0.5", "1", "1.5", "2"]
+        assert bar.words == ("displacement, input units", "ends as chosen; maximum in this frame 0")
+        assert made.captions.titles == ["reconstruction\nframe 2 of 5 (0 to 4): scan2.ply"]
+        made.look.color = "plain"
+        made.refresh()
+        assert bar.labels == [""] * 5 and bar.words == ("", "")
+    finally:
+        made.close()
+
+
 @pytest.mark.parametrize("wireframe", [False, True])
 def test_the_checker_does_not_need_vertices(wireframe):
     # A square of two triangles: 20 cells along each side, between corners of one colour each.

@@ -92,14 +92,14 @@ def spread_over_vertices(
 class VertexMeasures:
     """The measures of one moving mesh, each frame computed when first asked for.
 
-    meshes:   the mesh that is measured         T frames
+    meshes:   the mesh that is measured         T frames; where their triangles change, the error alone is known
     keyframe: frame that lengths and places are compared with
     clouds:   the input, where known            T arrays (N_t, 3)
     truth:    the true surfaces, where known    T meshes
     confidence: of each vertex, where known     (T, V) uint8, 255 for 1
     """
 
-    meshes: MeshSequence
+    meshes: MeshSequence | Sequence[TriMesh]
     keyframe: int = 0
     clouds: Sequence[np.ndarray] | None = None
     truth: MeshSequence | Sequence[TriMesh] | None = None
@@ -111,8 +111,9 @@ class VertexMeasures:
     @property
     def measures(self) -> list[str]:
         """The keys of ``MEASURES`` that can be computed from what is known."""
-        known = {"error": self.clouds is not None or self.truth is not None, "confidence": self.confidence is not None}
-        return [name for name in MEASURES if known.get(name, True)]
+        error, moving = self.clouds is not None or self.truth is not None, isinstance(self.meshes, MeshSequence)
+        known = {"error": error, "confidence": self.confidence is not None, "stretch": moving, "displacement": moving}
+        return [name for name in MEASURES if known[name]]
 
     def values(self, name: str, frame: int) -> np.ndarray:
         """One number a vertex, shape (V,) float64, NaN where unknown.
@@ -151,19 +152,23 @@ class VertexMeasures:
         self._edges = None
 
     def _compute(self, name: str, frame: int) -> np.ndarray:
-        vertices, at_keyframe = self.meshes.vertices[frame], self.meshes.vertices[self.keyframe]
+        if name == "error":
+            return self._error(frame)
+        vertices, at_keyframe = self.meshes[frame].vertices, self.meshes[self.keyframe].vertices
         if name == "confidence":
             assert self.confidence is not None
             return self.confidence[frame] / 255.0
         if name == "displacement":
             return np.linalg.norm(np.subtract(vertices, at_keyframe, dtype=np.float64), axis=1)
-        if name == "stretch":
-            if self._edges is None:
-                self._edges = unique_edges(self.meshes.faces)
-            return edge_stretch(vertices, at_keyframe, self._edges)
+        if self._edges is None:
+            self._edges = unique_edges(self.meshes[frame].faces)
+        return edge_stretch(vertices, at_keyframe, self._edges)
+
+    def _error(self, frame: int) -> np.ndarray:
         if self.truth is not None:
             from warpdef.geometry.closest import closest_on_surface
 
+            vertices = self.meshes[frame].vertices
             return closest_on_surface(vertices, self.truth[frame].vertices, self.truth[frame].faces)[0]
         return self._cloud_error(frame)
 
@@ -171,7 +176,7 @@ class VertexMeasures:
         from warpdef.geometry.closest import closest_on_surface
 
         assert self.clouds is not None
-        vertices, faces = self.meshes.vertices[frame], self.meshes.faces
+        vertices, faces = self.meshes[frame].vertices, self.meshes[frame].faces
         distance, face, weights = closest_on_surface(self.clouds[frame], vertices, faces)
         self._points[frame] = distance
         return spread_over_vertices(distance, face, weights, faces, len(vertices))

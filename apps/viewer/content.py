@@ -166,8 +166,7 @@ def load_content(
         if points is None and true_meshes is None and compare is None:
             raise InputError("--side-by-side: expected something to show beside; give --input, --truth or --compare")
         if true_meshes is not None:
-            # Coloured at the same frame as the reconstruction, so that the colours of both can be compared.
-            panes.append(Pane("truth", meshes=true_meshes, keyframe=panes[0].keyframe))
+            panes.append(_truth_pane(true_meshes, panes[0]))
         if points is not None:
             panes.insert(0, Pane("input", clouds=points))
     names = tuple(run.names[t] for t in chosen)
@@ -214,3 +213,14 @@ def _run_pane(path: Path, run, title: str, chosen: list[int], origin: np.ndarray
     colouring = VertexMeasures(meshes, keyframe, points, truth, confidence)
     against = "the truth" if truth is not None else "the input's points" if points is not None else ""
     return Pane(title, meshes, points, colors, colouring, keyframe, against)
+
+
+def _truth_pane(true_meshes: MeshSequence | Sequence[TriMesh], beside: Pane) -> Pane:
+    """The truth, coloured at the same frame as the reconstruction beside it; its error is the way back, to that one.
+
+    A limb that the reconstruction lacks is far from it only seen from here.
+    """
+    from warpdef.vertex_measures import VertexMeasures
+
+    colouring = VertexMeasures(true_meshes, beside.keyframe, truth=beside.meshes)
+    return Pane("truth", true_meshes, colouring=colouring, keyframe=beside.keyframe, against=f"the {beside.title}")

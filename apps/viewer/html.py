@@ -122,6 +122,7 @@ def _colors(pane: Pane, content: Content, look: Look, parents: np.ndarray) -> di
     from warpdef.apps.viewer.actors import MATERIAL
     from warpdef.apps.viewer.colouring import material_colors
     from warpdef.apps.viewer.page_data import deflated, pack_moving
+    from warpdef.apps.viewer.scales import MISSING, Scales, color_map
     from warpdef.vertex_measures import MEASURES
 
     packed: dict[str, Any] = {}
@@ -137,20 +138,20 @@ def _colors(pane: Pane, content: Content, look: Look, parents: np.ndarray) -> di
     if pane.colouring is not None and look.color in pane.colouring.measures:
         from matplotlib import colormaps
 
-        measure = MEASURES[look.color]
-        low, high = pane.colouring.limits(look.color)
+        measure, scales = MEASURES[look.color], Scales(content, look.color, look.clim, look.cmap)
+        low, high = scales.limits(look.color)
         values = np.stack([pane.colouring.values(look.color, t) for t in range(len(content))])
         known = np.isfinite(values)
         share = np.clip((np.where(known, values, low) - low) / (high - low), 0.0, 1.0)
         # 255 stands for unknown.
         steps = np.where(known, np.rint(share * 254), 255).astype(np.uint8)
         packed["values"] = pack_moving(steps[:, :, None], parents)
-        table = colormaps["coolwarm" if measure.diverging else "viridis"](np.linspace(0.0, 1.0, 255))
-        table = np.concatenate([np.rint(table[:, :3] * 255), [[154, 154, 154]]])
+        table = colormaps[color_map(look.color, look.cmap)](np.linspace(0.0, 1.0, 255))
+        table = np.concatenate([np.rint(table[:, :3] * 255), [MISSING]])
         packed |= {"table": deflated(table.astype(np.uint8)), "limits": [low, high]}
         packed["label"] = measure.label.format(content.unit)
         most = float(np.abs(values[known]).max(initial=0.0))
-        packed["ends"] = "" if look.color == "confidence" else f"ends at the 99th percentile; largest {most:.3g}"
+        packed["ends"] = "" if look.color == "confidence" else f"{scales.ends(look.color)}; largest {most:.3g}"
     elif look.color not in ("plain", MATERIAL):
         packed.pop("colors")
     return packed

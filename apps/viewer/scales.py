@@ -68,9 +68,13 @@ class Scales:
         least, most = (seen.min(), seen.max()) if len(seen) else (0.0, 0.0)
         low = self.limits(measure)[0]
         span = f"{least:.3g} to {most:.3g} {where}" if low < 0.0 else f"maximum {where} {most:.3g}"
+        return f"{self.ends(measure)}; {span}"
+
+    def ends(self, measure: str) -> str:
+        """What the bar's ends are, in words."""
         if self._clim is not None and measure == self._given:
-            return f"ends as chosen; {span}"
-        return f"ends at {'±' if low < 0.0 else ''}the 99th percentile; {span}"
+            return "ends as chosen"
+        return f"ends at {'±' if self.limits(measure)[0] < 0.0 else ''}the 99th percentile"
 
     def forget(self) -> None:
         """The measures are others now."""
