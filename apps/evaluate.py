@@ -18,7 +18,7 @@ from warpdef.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from warpdef.files.saved_run import Run
+    from warpdef.files.saved_run import SavedRun
     from warpdef.mesh import MeshSequence, TriMesh
 
 SAMPLES = 100_000
@@ -74,7 +74,7 @@ def evaluate(
     return EXIT_OK
 
 
-def assess_run(run: Run, clouds: Path | None = None) -> dict[str, Any]:
+def assess_run(run: SavedRun, clouds: Path | None = None) -> dict[str, Any]:
     """Judge every frame of a run by its clouds; see ``quality.assess.Assessment.as_dict``.
 
     Raises:
@@ -91,7 +91,7 @@ def assess_run(run: Run, clouds: Path | None = None) -> dict[str, Any]:
 
 
 def evaluate_run(
-    run: Run, truth: MeshSequence | Sequence[TriMesh], *, samples: int = SAMPLES, seed: int = 0
+    run: SavedRun, truth: MeshSequence | Sequence[TriMesh], *, samples: int = SAMPLES, seed: int = 0
 ) -> dict[str, Any]:
     """Evaluate a run with progress on standard error, and put ``metrics.json`` into its folder.
 

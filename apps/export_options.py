@@ -10,7 +10,7 @@ from warpdef.apps.console import say
 from warpdef.errors import InputError
 
 if TYPE_CHECKING:
-    from warpdef.export import Format
+    from warpdef.export import ExportFormat
     from warpdef.export.animation import Animation
     from warpdef.export.points import MovingPoints
     from warpdef.rig.decompose import Rig
@@ -35,11 +35,11 @@ class Packing:
         """The key of the format."""
         return (self.format or self.file.suffix).lower().removeprefix(".")
 
-    def is_rigged(self, form: Format) -> bool:
+    def is_rigged(self, form: ExportFormat) -> bool:
         """Whether bones move what is written."""
         return bool(self.bones) or not form.writer
 
-    def check(self, measured: bool = False, points: bool = False) -> Format:
+    def check(self, measured: bool = False, points: bool = False) -> ExportFormat:
         """The format, once it is sure that it holds what is wanted and that the place is free.
 
         Args:
@@ -56,7 +56,7 @@ class Packing:
         check_content(self.file, form, self.is_rigged(form), measured, self.meshopt)
         return form
 
-    def write(self, animation: Animation | MovingPoints, form: Format) -> list[Path]:
+    def write(self, animation: Animation | MovingPoints, form: ExportFormat) -> list[Path]:
         """Write it, with a rig where one is asked for, and return the places written.
 
         Raises:
@@ -70,7 +70,7 @@ class Packing:
             how["rig"] = fit_bones(animation, parse_bones(self.bones))
         return export(animation, self.file, **how)
 
-    def say_cost(self, animation: Animation | MovingPoints, form: Format) -> None:
+    def say_cost(self, animation: Animation | MovingPoints, form: ExportFormat) -> None:
         """What was rounded, who does not read the file, and where a rig would serve better."""
         from warpdef.export.animation import Animation
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from warpdef.apps.experiments.plan import FULL, Plan, PlanSize
-from warpdef.apps.experiments.run import Run, with_values
+from warpdef.apps.experiments.run import ExperimentRun, with_values
 from warpdef.config import Config
 from warpdef.mesh import MeshSequence
 from warpdef.truth.metrics import METRICS
@@ -68,7 +68,7 @@ def write_ball(folder: Path, name: str = "ball", frames: int = 6) -> Path:
     return folder
 
 
-def made_up(run: Run, cd: float = 1e-5, tracking: float = 0.004) -> dict[str, Any]:
+def made_up(run: ExperimentRun, cd: float = 1e-5, tracking: float = 0.004) -> dict[str, Any]:
     """A result as ``execute`` returns it, with the errors asked for."""
     mean = {**dict.fromkeys(METRICS, 0.5), "chamfer_l2": cd, "chamfer_floor": 2e-6, "tracking": tracking}
     return {

@@ -28,7 +28,7 @@ template.mesh = "{mesh}"
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FaultOutcome:
     """What a run left: exit code (negative: the signal that ended it) and what it said on standard error."""
 
     code: int
@@ -100,15 +100,15 @@ class Bench:
     def checkpoint(self) -> Path:
         return self.place / ".out.checkpoint"
 
-    def begin(self, *more: str, **how) -> Outcome:
+    def begin(self, *more: str, **how) -> FaultOutcome:
         """A run from the start."""
         return self._run([str(self.source), "-o", str(self.out), *self.flags, *more], **how)
 
-    def resume(self, *more: str, **how) -> Outcome:
+    def resume(self, *more: str, **how) -> FaultOutcome:
         """A run from the checkpoint."""
         return self._run(["--resume", str(self.out), *more], **how)
 
-    def go_on(self, **how) -> Outcome:
+    def go_on(self, **how) -> FaultOutcome:
         """From the checkpoint if there is one, else from the start, as a person would."""
         return self.resume(**how) if self.checkpoint.exists() else self.begin(**how)
 
@@ -123,7 +123,7 @@ class Bench:
         after: float | None = None,
         with_signal: int = signal.SIGKILL,
         prepare: Callable[[], None] | None = None,
-    ) -> Outcome:
+    ) -> FaultOutcome:
         """``warpdef reconstruct`` in a child that runs ``prepare`` first and gets a signal ``after`` some seconds."""
         ear, mouth = os.pipe()
         child = os.fork()
@@ -154,7 +154,7 @@ class Bench:
         if after is not None:
             timer.cancel()
             timer.join()
-        return Outcome(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said)
+        return FaultOutcome(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said)
 
     def begin_and_die(self) -> None:
         """A run from the start, killed as soon as it has written so many checkpoints."""

@@ -37,7 +37,7 @@ _ADDRESS_SPACE = 12 << 30
 
 
 @dataclass(frozen=True)
-class Outcome:
+class MutantOutcome:
     """What one try did. problem: empty if all promises were kept. grown: bytes of memory beyond the start."""
 
     sample: str
@@ -171,7 +171,7 @@ class Trial:
             if (outcome := self.attempt(sample, "as it is", sample.files[sample.victim])).code != 0:
                 raise AssertionError(f"the sample '{sample.name}' is not valid: {outcome.said} {outcome.problem}")
 
-    def run(self, seed: int, index: int) -> Outcome:
+    def run(self, seed: int, index: int) -> MutantOutcome:
         """Try number ``index``: the harmful files first, then random damage."""
         specials = [(s, name) for s in self.samples for name in s.specials]
         if index < len(specials):
@@ -182,7 +182,7 @@ class Trial:
         how, data = mutated(sample.files[sample.victim], rng)
         return self.attempt(sample, how, data)
 
-    def attempt(self, sample, how: str, data: bytes) -> Outcome:
+    def attempt(self, sample, how: str, data: bytes) -> MutantOutcome:
         """Write the sample with ``data`` for its victim, run its command, and judge what it did."""
         from mutation_samples import TRAP
 
@@ -224,7 +224,7 @@ class Trial:
         shutil.rmtree(place)
         for name in {p.split("/")[0] for p in left} | {"out", "out.npz", TRAP}:
             _remove(self.folder / name)
-        return Outcome(sample.name, how, code, seconds, grown, problem, words_said)
+        return MutantOutcome(sample.name, how, code, seconds, grown, problem, words_said)
 
 
 def _command(arguments: list[str]) -> int:
@@ -298,7 +298,7 @@ def _work(seed: int, indices: range) -> None:
             print(json.dumps([index, asdict(trial.run(seed, index))]), flush=True)
 
 
-def run_tries(seed: int, indices: range) -> Iterator[tuple[int, Outcome]]:
+def run_tries(seed: int, indices: range) -> Iterator[tuple[int, MutantOutcome]]:
     """Outcomes of the tries, run in a process that is started anew where it crashes or hangs."""
     import json
 
@@ -316,7 +316,7 @@ def run_tries(seed: int, indices: range) -> Iterator[tuple[int, Outcome]]:
                 started = True
                 index, outcome = json.loads(line)
                 left = left[1:]
-                yield index, Outcome(**outcome)
+                yield index, MutantOutcome(**outcome)
             if left:
                 hung = worker.poll() is None and line == ""
                 worker.kill()
@@ -324,7 +324,7 @@ def run_tries(seed: int, indices: range) -> Iterator[tuple[int, Outcome]]:
                 if not started:
                     raise RuntimeError(f"the worker did not start: {said}")
                 problem = "hung" if hung else "crashed"
-                yield left[0], Outcome("?", "?", worker.wait(), _WATCHDOG, 0, f"the process {problem}", said)
+                yield left[0], MutantOutcome("?", "?", worker.wait(), _WATCHDOG, 0, f"the process {problem}", said)
                 left = left[1:]
 
 

@@ -228,7 +228,7 @@ def confidence(loss_input, loss_transform, keyframe: int, delta: float, bound_is
 
 
 @dataclass(frozen=True)
-class Scene:
+class TwinScene:
     """A sequence and the constants of its objective; frames and transitions as in the paper, T and S = T - 1.
 
     clouds, normals: T arrays (N_t, 3). edges: (E, 2). levels: resolutions. share_mean: Chamfer as a mean.
@@ -267,14 +267,14 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Pairs:
+class NearestPairs:
     """Nearest neighbours between a moving set and a cloud, both ways: (A,) into the cloud, (B,) into the set."""
 
     forth: np.ndarray
     back: np.ndarray
 
 
-def chain(scene: Scene, nodes: np.ndarray, template: np.ndarray) -> np.ndarray:
+def chain(scene: TwinScene, nodes: np.ndarray, template: np.ndarray) -> np.ndarray:
     """Vertices of all frames, (T, V, 3). nodes (S, M, 6)."""
     vertices = np.zeros((len(scene.clouds), *template.shape))
     vertices[scene.keyframe] = template
@@ -285,7 +285,7 @@ def chain(scene: Scene, nodes: np.ndarray, template: np.ndarray) -> np.ndarray:
     return vertices
 
 
-def chamfer(scene: Scene, moving, frame: int, pairs: Pairs, weights=None, reach=(np.inf, np.inf)):
+def chamfer(scene: TwinScene, moving, frame: int, pairs: NearestPairs, weights=None, reach=(np.inf, np.inf)):
     """Both halves of CD_R against a frame's cloud, and the weights, robust and mutual, which ``weights`` freezes."""
     cloud, normals = scene.clouds[frame], scene.normals[frame]
     halves = [(moving - cloud[pairs.forth], normals[pairs.forth]), (moving[pairs.back] - cloud, normals)]
@@ -307,7 +307,9 @@ class Terms:
     weights: list
 
 
-def terms(scene: Scene, nodes, template, moved_pairs: list[Pairs], vertex_pairs: list[Pairs], weights=None) -> Terms:
+def terms(
+    scene: TwinScene, nodes, template, moved_pairs: list[NearestPairs], vertex_pairs: list[NearestPairs], weights=None
+) -> Terms:
     """Evaluate with these neighbours; ``weights`` (of an earlier ``Terms``) freezes the robust weights too."""
     steps, frames = len(scene.clouds) - 1, len(scene.clouds)
     weights = iter(weights) if weights is not None else iter([None] * (steps + frames))
@@ -325,7 +327,7 @@ def terms(scene: Scene, nodes, template, moved_pairs: list[Pairs], vertex_pairs:
     return Terms(np.array([v for v, _ in moved]), np.array([v for v, _ in met]), lengths, [w for _, w in moved + met])
 
 
-def total(scene: Scene, found: Terms, trust: np.ndarray) -> float:
+def total(scene: TwinScene, found: Terms, trust: np.ndarray) -> float:
     """The objective. trust (T,): confidence of each frame, 1 at the keyframe."""
     steps = len(found.input)
     transform = trust * found.transform

@@ -18,7 +18,7 @@ AXES = np.array([0.6, 0.45, 0.35])
 
 
 @dataclass(frozen=True)
-class Scene:
+class MovingEllipsoid:
     """An exact ellipsoid that turns and drifts: a mesh whose vertices lie on it, and clouds that see part of it or all.
 
     turn, shift: pose of each frame, (T, 3, 3) and (T, 3). body: vertices before posing, (V, 3). axis: their normals.
@@ -33,7 +33,9 @@ class Scene:
     normals: list[np.ndarray]
 
     @classmethod
-    def make(cls, frames: int, points: int, rng: np.random.Generator, subdivisions: int = 2, seen=None) -> Scene:
+    def make(
+        cls, frames: int, points: int, rng: np.random.Generator, subdivisions: int = 2, seen=None
+    ) -> MovingEllipsoid:
         """``seen(t, body points)``: which points the cloud of frame t keeps."""
         sphere, faces = synthetic.icosphere(subdivisions)
         turn = np.stack([synthetic.turn_about([0.3, 0.2, 1.0], 0.15 * t) for t in range(frames)])
@@ -79,12 +81,12 @@ def mean_square(a: np.ndarray, axis=None) -> np.ndarray:
     return np.sqrt((a**2).mean(axis=axis))
 
 
-class Run:
+class Rounds:
     """Rounds of the stage from these vertices, in the template's order. ``normals``: None for those of the scene."""
 
     def __init__(
         self,
-        scene: Scene,
+        scene: MovingEllipsoid,
         vertices: np.ndarray,
         device: str,
         rounds: int,

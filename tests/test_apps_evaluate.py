@@ -32,13 +32,13 @@ def moving_box(frames: int) -> MeshSequence:
 
 
 @dataclass
-class Case:
+class EvaluateCase:
     truth: Path
     output: Path
 
 
 @pytest.fixture
-def case(tmp_path: Path) -> Case:
+def case(tmp_path: Path) -> EvaluateCase:
     """Six true frames, and a perfect result made from frames 1, 3 and 5."""
     mesh = moving_box(6)
     np.savez(tmp_path / "truth.npz", vertices=mesh.vertices, faces=mesh.faces)
@@ -51,10 +51,10 @@ def case(tmp_path: Path) -> Case:
         steps=[],
         names=["1", "3", "5"],
     )
-    return Case(tmp_path / "truth.npz", tmp_path / "out")
+    return EvaluateCase(tmp_path / "truth.npz", tmp_path / "out")
 
 
-def test_measures_as_json(case: Case, capfd) -> None:
+def test_measures_as_json(case: EvaluateCase, capfd) -> None:
     arguments = ["evaluate", str(case.output), str(case.truth), "--frames", "1::2", "--samples", "2000", "--json"]
     assert run(arguments) == 0
     shown = json.loads(capfd.readouterr().out)
@@ -68,7 +68,7 @@ def test_measures_as_json(case: Case, capfd) -> None:
     assert shown["frames"][2]["edge_distortion"] == pytest.approx(1.5 / 1.3 - 1, rel=1e-5)
 
 
-def test_measures_as_tables(case: Case, capfd) -> None:
+def test_measures_as_tables(case: EvaluateCase, capfd) -> None:
     arguments = ["evaluate", str(case.output), str(case.truth), "--frames", "1::2", "--samples", "500"]
     assert run(arguments) == 0
     brief = capfd.readouterr().out
@@ -80,7 +80,7 @@ def test_measures_as_tables(case: Case, capfd) -> None:
 
 
 @pytest.fixture
-def without_truth(case: Case, rng: np.random.Generator) -> Path:
+def without_truth(case: EvaluateCase, rng: np.random.Generator) -> Path:
     """Clouds of the case's three frames, of which the last is elsewhere, known to the run."""
     meshes = load_run(case.output).meshes
     clouds = [sample_surface(v, meshes.faces, 800, rng)[0] for v in meshes.vertices]
@@ -92,7 +92,7 @@ def without_truth(case: Case, rng: np.random.Generator) -> Path:
     return path
 
 
-def test_without_a_truth_frames_are_judged(case: Case, without_truth: Path, capfd) -> None:
+def test_without_a_truth_frames_are_judged(case: EvaluateCase, without_truth: Path, capfd) -> None:
     assert run(["evaluate", str(case.output)]) == 0
     lines = capfd.readouterr().out.splitlines()
     assert lines[-1] == "2 good, 1 lost (2)"
@@ -103,7 +103,7 @@ def test_without_a_truth_frames_are_judged(case: Case, without_truth: Path, capf
     assert not (case.output / "metrics.json").exists()
 
 
-def test_other_clouds_than_the_runs_are_refused_by_frame(case: Case, without_truth: Path, capfd) -> None:
+def test_other_clouds_than_the_runs_are_refused_by_frame(case: EvaluateCase, without_truth: Path, capfd) -> None:
     points = np.load(without_truth)["points"]
     points[1, 5] += 1e-3
     np.savez(without_truth, points=points)
@@ -120,7 +120,7 @@ def test_other_clouds_than_the_runs_are_refused_by_frame(case: Case, without_tru
     assert "no longer there" in capfd.readouterr().err
 
 
-def test_clouds_in_the_run_folder_come_first(case: Case, without_truth: Path, capfd) -> None:
+def test_clouds_in_the_run_folder_come_first(case: EvaluateCase, without_truth: Path, capfd) -> None:
     """As a demo keeps them, rounded."""
     points = np.load(without_truth)["points"].astype(np.float32)
     points[2] -= 3.0
@@ -129,14 +129,14 @@ def test_clouds_in_the_run_folder_come_first(case: Case, without_truth: Path, ca
     assert capfd.readouterr().out.splitlines()[-1] == "3 good"
 
 
-def test_a_run_that_does_not_know_its_clouds(case: Case, capfd) -> None:
+def test_a_run_that_does_not_know_its_clouds(case: EvaluateCase, capfd) -> None:
     assert run(["evaluate", str(case.output)]) == 2
     assert "--clouds" in capfd.readouterr().err
     assert run(["evaluate", str(case.output), str(case.truth), "--clouds", str(case.truth)]) == 2
     assert "--clouds: expected no truth" in capfd.readouterr().err
 
 
-def test_other_frames_than_the_result(case: Case, capfd) -> None:
+def test_other_frames_than_the_result(case: EvaluateCase, capfd) -> None:
     assert run(["evaluate", str(case.output), str(case.truth)]) == 2
     told = capfd.readouterr().err
     assert "3 frames" in told
@@ -144,12 +144,12 @@ def test_other_frames_than_the_result(case: Case, capfd) -> None:
     assert not (case.output / "metrics.json").exists()
 
 
-def test_not_a_result(case: Case, capfd) -> None:
+def test_not_a_result(case: EvaluateCase, capfd) -> None:
     assert run(["evaluate", str(case.truth.parent), str(case.truth)]) == 2
     assert "expected the folder of a warpdef run" in capfd.readouterr().err
 
 
-def test_sample(case: Case, tmp_path: Path, capfd) -> None:
+def test_sample(case: EvaluateCase, tmp_path: Path, capfd) -> None:
     clouds = tmp_path / "clouds.npz"
     command = ["sample", str(case.truth), "-o", str(clouds), "--points", "40", "--frames", "1::2"]
     assert run(command) == 0

@@ -9,7 +9,7 @@ import reference_refine as twin
 import warp as wp
 import witness_refine
 from gradients import assert_gradients_close, finite_differences, gradient_of
-from test_planes import Scene, put, spans
+from test_planes import PlaneScene, put, spans
 
 from warpdef.fit.pairing import _BORDER_GAP
 from warpdef.kernels.borders import cloud_borders, vertex_borders
@@ -17,7 +17,7 @@ from warpdef.kernels.borders import cloud_borders, vertex_borders
 STIFFNESS = 0.7
 
 
-class Edge(Scene):
+class BorderEdge(PlaneScene):
     """The scene of random pairs, in which every second vertex has border neighbours; vertex 6 has coincident ones."""
 
     def __init__(self, device: str, rng: np.random.Generator) -> None:
@@ -55,8 +55,8 @@ class Edge(Scene):
 
 
 @pytest.fixture
-def edge(device: str, rng: np.random.Generator) -> Edge:
-    return Edge(device, rng)
+def edge(device: str, rng: np.random.Generator) -> BorderEdge:
+    return BorderEdge(device, rng)
 
 
 @pytest.fixture(params=["met", "asked"])
@@ -64,20 +64,20 @@ def way(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-def test_normal_equations_match_the_twin(edge: Edge, way: str) -> None:
+def test_normal_equations_match_the_twin(edge: BorderEdge, way: str) -> None:
     planes = edge.border_planes(way)
     assert 5 < (planes.a != 0).any(axis=1).sum() < 0.5 * len(planes.a)
     for found, expected in zip(edge.run(way), planes.normal_equations(edge.count), strict=True):
         assert_gradients_close(found, expected)
 
 
-def test_the_right_hand_side_is_minus_half_the_gradient(edge: Edge, way: str) -> None:
+def test_the_right_hand_side_is_minus_half_the_gradient(edge: BorderEdge, way: str) -> None:
     """At no move, with directions, weights and pairs held."""
     slope = finite_differences(edge.border_planes(way).energy, np.zeros((edge.count, 3)))
     assert_gradients_close(edge.run(way)[1], -0.5 * slope)
 
 
-def test_the_right_hand_side_matches_autodiff(edge: Edge, way: str) -> None:
+def test_the_right_hand_side_matches_autodiff(edge: BorderEdge, way: str) -> None:
     planes, on = edge.border_planes(way), edge.device
     move = wp.zeros(edge.count, dtype=wp.vec3, device=on, requires_grad=True)
     loss = wp.zeros(1, dtype=wp.float32, device=on, requires_grad=True)
@@ -90,7 +90,7 @@ def test_the_right_hand_side_matches_autodiff(edge: Edge, way: str) -> None:
     assert_gradients_close(edge.run(way)[1], -0.5 * gradient_of(move))
 
 
-def test_it_adds_and_spans_are_the_whole(edge: Edge, way: str) -> None:
+def test_it_adds_and_spans_are_the_whole(edge: BorderEdge, way: str) -> None:
     whole = edge.run(way)
     tolerance = 0 if edge.device == "cpu" else 1e-5
     for found, cut, fresh in zip(edge.run(way, start=5.0), edge.run(way, cuts=(0, 7, 44)), whole, strict=True):
@@ -98,7 +98,7 @@ def test_it_adds_and_spans_are_the_whole(edge: Edge, way: str) -> None:
         np.testing.assert_allclose(cut, fresh, rtol=0, atol=tolerance)
 
 
-def test_inside_and_without_direction_nothing_is_added(edge: Edge, way: str) -> None:
+def test_inside_and_without_direction_nothing_is_added(edge: BorderEdge, way: str) -> None:
     found = edge.run(way)
     inside = np.tile(edge.border[:, 0] < 0, 2)
     # Vertex 6 of the first frame lies where all its neighbours lie.
@@ -110,7 +110,7 @@ def test_inside_and_without_direction_nothing_is_added(edge: Edge, way: str) -> 
 
 def test_a_straight_edge_is_found_where_the_points_end(device: str, rng: np.random.Generator) -> None:
     """Random points below y = 0: a border line there is asked to stay, one below to rise and one above to sink."""
-    edge, count, points = Edge(device, rng), 400, 4800
+    edge, count, points = BorderEdge(device, rng), 400, 4800
     cloud = np.column_stack([rng.uniform(-6, 6, points), rng.uniform(-1, 0, points), np.zeros(points)])
     spacing = 0.5 / np.sqrt(points / 12)  # mean distance to the nearest fellow
     # The line, and the vertices a step inside that say which way is out.

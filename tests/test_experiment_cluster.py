@@ -16,7 +16,7 @@ import pytest
 from experiment_samples import tiny_plan, write_ball
 
 from warpdef.apps.experiments.cluster import Slot, _alone, _connect, _of_this_code, local_slots, on_cluster
-from warpdef.apps.experiments.run import Run, with_values
+from warpdef.apps.experiments.run import ExperimentRun, with_values
 from warpdef.apps.experiments.session import here
 from warpdef.datasets import find_sequences
 from warpdef.device import find_device
@@ -27,7 +27,7 @@ psutil = pytest.importorskip("psutil")  # comes with it
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[ExperimentRun]:
     """Four short runs, long enough for a worker to be met at work."""
     (source,) = find_sequences(write_ball(tmp_path_factory.mktemp("data")))
     plan = tiny_plan([source])
@@ -35,7 +35,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
 
 
 @pytest.fixture(scope="module")
-def expected(runs: list[Run]) -> dict[str, Any]:
+def expected(runs: list[ExperimentRun]) -> dict[str, Any]:
     return {run.key: result["frames"] for run, result in here("cpu", 1)(runs) if not isinstance(result, Exception)}
 
 
@@ -53,7 +53,7 @@ def kill_a_busy_worker(address: str, killed: list[str]) -> None:
             time.sleep(0.01)
 
 
-def test_a_killed_worker_changes_no_result(runs: list[Run], expected: dict[str, Any]) -> None:
+def test_a_killed_worker_changes_no_result(runs: list[ExperimentRun], expected: dict[str, Any]) -> None:
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         address, killed = cluster.scheduler_address, []
         killer = threading.Thread(target=kill_a_busy_worker, args=(address, killed))
@@ -67,21 +67,21 @@ def test_a_killed_worker_changes_no_result(runs: list[Run], expected: dict[str, 
         assert result["frames"] == expected[key]
 
 
-def test_workers_of_our_own_keep_to_their_slices(runs: list[Run], expected: dict[str, Any]) -> None:
+def test_workers_of_our_own_keep_to_their_slices(runs: list[ExperimentRun], expected: dict[str, Any]) -> None:
     (slot, *_) = local_slots("cpu", 1, 1)
     ((run, result),) = on_cluster("", "cpu", 1, 1)(runs[:1])
     assert not isinstance(result, Exception), result
     assert result["frames"] == expected[run.key] and result["threads"] == len(slot.cores) == 1
 
 
-def test_an_error_of_a_run_comes_back(runs: list[Run]) -> None:
-    bad = Run(runs[0].source, (0, 1, 99), 200, with_values(runs[0].config, {}))
+def test_an_error_of_a_run_comes_back(runs: list[ExperimentRun]) -> None:
+    bad = ExperimentRun(runs[0].source, (0, 1, 99), 200, with_values(runs[0].config, {}))
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
         ((_, error),) = on_cluster(cluster.scheduler_address, "cpu", 1)([bad])
     assert isinstance(error, InputError) and "frames up to 5, got 99" in str(error)
 
 
-def test_a_worker_with_other_code_is_refused(runs: list[Run]) -> None:
+def test_a_worker_with_other_code_is_refused(runs: list[ExperimentRun]) -> None:
     result = {"key": "other", "run": {"code": "0.0.0+old"}}
     error = _of_this_code(runs[0], result)
     assert isinstance(error, InputError) and "0.0.0+old" in str(error)
@@ -89,7 +89,7 @@ def test_a_worker_with_other_code_is_refused(runs: list[Run]) -> None:
     assert _of_this_code(runs[0], result) is result
 
 
-def test_crowded_workers_are_refused(runs: list[Run]) -> None:
+def test_crowded_workers_are_refused(runs: list[ExperimentRun]) -> None:
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=3, processes=False, dashboard_address=None
     ) as cluster:
@@ -97,7 +97,7 @@ def test_crowded_workers_are_refused(runs: list[Run]) -> None:
             list(on_cluster(cluster.scheduler_address)(runs))
 
 
-def test_no_scheduler_at_an_address(runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_scheduler_at_an_address(runs: list[ExperimentRun], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("warpdef.apps.experiments.cluster._CONNECT_S", "200ms")
     for address in ("tcp://127.0.0.1:1", "not an address"):
         with pytest.raises(InputError, match="no Dask scheduler answers"):

@@ -16,7 +16,7 @@ from warpdef.device import Way, find_device, going
 from warpdef.fit.follow import follow
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
-from warpdef.fit.recover import Cloud, Matches, Surface
+from warpdef.fit.recover import Cloud, ConnectedSurface, Matches
 from warpdef.fit.refine import Refinement
 from warpdef.fit.workers import Team
 
@@ -44,7 +44,7 @@ def lost_chain(team: Team, oriented: bool = True, chain: bool = True) -> tuple[O
 
 def uncovered(optimiser: Optimiser) -> list[float]:
     p, vertices = optimiser.problem, optimiser.objective.vertices.numpy().astype(np.float64)
-    surface = Surface.of(p.faces, p.edges.numpy())
+    surface = ConnectedSurface.of(p.faces, p.edges.numpy())
     clouds = [Cloud(c, n, True, True) for c, n in zip(BODY.clouds, BODY.normals, strict=True)]
     return [Matches(c, surface).uncovered(v) for c, v in zip(clouds, vertices, strict=True)]
 
@@ -132,7 +132,7 @@ def test_a_limb_lost_on_the_way_is_bent_back_and_named(recover: bool) -> None:
         optimiser = Optimiser(problem, 1, team)
         optimiser.finish()
         found = follow(optimiser.objective, Refinement(optimiser.objective, team))
-    surface = Surface.of(problem.faces, problem.edges.numpy())
+    surface = ConnectedSurface.of(problem.faces, problem.edges.numpy())
     vertices = optimiser.objective.vertices.numpy().astype(np.float64)
     left = [Matches(cloud, surface).uncovered(v) for cloud, v in zip(clouds, vertices, strict=True)]
     if recover:

@@ -90,7 +90,7 @@ def test_the_twin_agrees_with_its_finite_differences(rng: np.random.Generator) -
     assert_gradients_close(found, by_nodes, elementwise=1e-8, relative=1e-8)
 
 
-class Chain:
+class GridChain:
     """Four frames with the keyframe at 1: transition 0 leads to frame 0; 1 and 2 to frames 2 and 3."""
 
     forward, backward = [(1, 1, 2), (2, 2, 3)], [(0, 1, 0)]
@@ -125,18 +125,18 @@ class Chain:
 
 def chain_of_twins(nodes: np.ndarray, template: np.ndarray) -> np.ndarray:
     frames = [np.zeros_like(template), template, None, None]
-    for s, source, target in Chain.forward + Chain.backward:
+    for s, source, target in GridChain.forward + GridChain.backward:
         frames[target] = reference.move(nodes[s], LEVELS, frames[source])
     return np.stack(frames)
 
 
 def test_the_chain_and_its_jacobians_match_the_twin(arrays: Arrays, rng: np.random.Generator) -> None:
     nodes, template = random_nodes(3, rng), points_in_cube(40, rng)
-    chain = Chain(arrays, nodes, template)
+    chain = GridChain(arrays, nodes, template)
     expected = chain_of_twins(nodes, template)
     found = chain.vertices.numpy()
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
-    for s, source, _ in Chain.forward + Chain.backward:
+    for s, source, _ in GridChain.forward + GridChain.backward:
         derivative = reference.move_derivative(nodes[s], LEVELS, found[source].astype(np.float64))
         np.testing.assert_allclose(chain.jacobian.numpy()[s].transpose(0, 2, 1), derivative, rtol=0, atol=2e-5)
 
@@ -148,7 +148,7 @@ def test_the_way_back_matches_finite_differences_of_the_twin(arrays: Arrays, rng
     chamfer[1] = isometry[1] = 0
     trust = np.array([0.3, 1.0, 0.8, 0.5])
     force = trust[:, None, None] * chamfer + isometry
-    found_nodes, found_template = Chain(arrays, nodes, template).back(chamfer, isometry, trust)
+    found_nodes, found_template = GridChain(arrays, nodes, template).back(chamfer, isometry, trust)
 
     def pulled(n: np.ndarray, x: np.ndarray) -> float:
         return float((chain_of_twins(n, x) * force).sum())
@@ -168,12 +168,12 @@ def test_the_way_back_matches_autodiff(arrays: Arrays, rng: np.random.Generator)
     nodes, template = random_nodes(3, rng), points_in_cube(40, rng)
     force = rng.normal(size=(4, 40, 3))
     force[1] = 0
-    found_nodes, found_template = Chain(arrays, nodes, template).back(force, np.zeros_like(force), np.ones(4))
+    found_nodes, found_template = GridChain(arrays, nodes, template).back(force, np.zeros_like(force), np.ones(4))
 
     variables = [witness.variable(witness.pad(n), node8, arrays.device) for n in nodes]
     frames = {1: witness.variable(template, wp.vec3, arrays.device)}
     with wp.Tape() as tape:
-        for s, source, target in Chain.forward + Chain.backward:
+        for s, source, target in GridChain.forward + GridChain.backward:
             frames[target] = witness.move(LEVELS, variables[s], frames[source])
     tape.backward(grads={frames[t]: arrays.vectors(force[t]) for t in (0, 2, 3)})
     assert_gradients_close(found_nodes, np.stack([gradient_of(v)[:, :6] for v in variables]))
@@ -182,7 +182,7 @@ def test_the_way_back_matches_autodiff(arrays: Arrays, rng: np.random.Generator)
 
 def test_zero_nodes_move_nothing_yet_want_to_turn(arrays: Arrays, rng: np.random.Generator) -> None:
     template, force = points_in_cube(10, rng), rng.normal(size=(4, 10, 3))
-    chain = Chain(arrays, np.zeros((3, NODES, 6), np.float32), template)
+    chain = GridChain(arrays, np.zeros((3, NODES, 6), np.float32), template)
     np.testing.assert_array_equal(chain.vertices.numpy(), np.tile(template.astype(np.float32), (4, 1, 1)))
     nodes, _ = chain.back(force, np.zeros_like(force), np.ones(4))
     assert (np.abs(nodes[:, 0]).max(axis=1) > 0.01).all()
@@ -192,7 +192,7 @@ def test_zero_nodes_move_nothing_yet_want_to_turn(arrays: Arrays, rng: np.random
 def test_vertices_that_are_no_numbers_do_not_crash(arrays: Arrays, rng: np.random.Generator) -> None:
     template = points_in_cube(4, rng)
     template[1], template[2] = np.nan, [50.0, -50.0, np.inf]
-    chain = Chain(arrays, random_nodes(3, rng), template)
+    chain = GridChain(arrays, random_nodes(3, rng), template)
     chain.back(rng.normal(size=(4, 4, 3)), np.zeros((4, 4, 3)), np.ones(4))
     assert np.isfinite(chain.vertices.numpy()[:, [0, 3]]).all()
     assert np.isnan(chain.vertices.numpy()[:, 1]).all()
@@ -201,5 +201,5 @@ def test_vertices_that_are_no_numbers_do_not_crash(arrays: Arrays, rng: np.rando
 def test_a_single_vertex(arrays: Arrays, rng: np.random.Generator) -> None:
     nodes, template = random_nodes(3, rng), points_in_cube(1, rng)
     np.testing.assert_allclose(
-        Chain(arrays, nodes, template).vertices.numpy(), chain_of_twins(nodes, template), rtol=0, atol=1e-5
+        GridChain(arrays, nodes, template).vertices.numpy(), chain_of_twins(nodes, template), rtol=0, atol=1e-5
     )

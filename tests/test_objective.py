@@ -105,7 +105,7 @@ class Toy:
     # The twin, at the same float32 positions.
 
     @property
-    def scene(self) -> reference.Scene:
+    def scene(self) -> reference.TwinScene:
         p, loss = self.problem, self.config.loss
         split = p.sample.offsets[1:-1]
         clouds = np.split(p.sample.points.numpy().astype(np.float64), split)
@@ -116,7 +116,7 @@ class Toy:
         source, target = p.transitions.source, p.transitions.target
         between = 0.75 * (spacing[source] + spacing[target])
         vertex_reach = spacing + 0.25 * np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean()
-        return reference.Scene(
+        return reference.TwinScene(
             moved_reach=np.where(p.measures.complete[target], np.inf, between),
             met_reach=np.where(p.measures.complete[source], np.inf, between),
             vertex_reach=np.where(p.measures.complete, np.inf, vertex_reach),
@@ -135,7 +135,7 @@ class Toy:
             isometry_weight=loss.isometry_weight,
         )
 
-    def pairs(self) -> tuple[list[reference.Pairs], list[reference.Pairs]]:
+    def pairs(self) -> tuple[list[reference.NearestPairs], list[reference.NearestPairs]]:
         """The kernel's neighbours: of moved clouds, of vertices."""
         p, o, count = self.problem, self.objective, self.problem.vertex_count
         first, moved_offsets = p.sample.offsets, p.moved_offsets
@@ -143,11 +143,13 @@ class Toy:
         moved = []
         for s, t in enumerate(p.transitions.target):
             there, here = slice(*moved_offsets[s : s + 2]), slice(*first[t : t + 2])
-            moved.append(reference.Pairs(forth[there] - first[t], back[here] - moved_offsets[s]))
+            moved.append(reference.NearestPairs(forth[there] - first[t], back[here] - moved_offsets[s]))
         forth, back = o.transform.correspondences.forth.index.numpy(), o.transform.correspondences.back.index.numpy()
         first = p.cloud_offsets
         met = [
-            reference.Pairs(forth[t * count : (t + 1) * count] - first[t], back[first[t] : first[t + 1]] - t * count)
+            reference.NearestPairs(
+                forth[t * count : (t + 1) * count] - first[t], back[first[t] : first[t + 1]] - t * count
+            )
             for t in range(p.frame_count)
         ]
         return moved, met

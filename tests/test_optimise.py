@@ -23,7 +23,7 @@ def configured(**groups: dict) -> Config:
     return replace(config, **{name: replace(getattr(config, name), **values) for name, values in groups.items()})
 
 
-class Run:
+class DescendedRun:
     """A descent on a synthetic sequence; ``losses`` after every iteration, Chamfer terms unweighted."""
 
     def __init__(
@@ -64,7 +64,7 @@ def ellipsoid(rng: np.random.Generator) -> synthetic.Synthetic:
 def test_any_number_of_threads_gives_the_same_bits(ellipsoid, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("warpdef.kernels.ways.VERTICES_PER_TASK", 10)  # several tasks for a small template
     config = configured(optimiser={"warmup": 4})
-    runs = [Run(ellipsoid, config, "cpu", 12, threads=n) for n in (1, 2, 3)]
+    runs = [DescendedRun(ellipsoid, config, "cpu", 12, threads=n) for n in (1, 2, 3)]
     for run in runs[1:]:
         np.testing.assert_array_equal(run.vertices, runs[0].vertices)
         assert run.losses == runs[0].losses
@@ -73,9 +73,9 @@ def test_any_number_of_threads_gives_the_same_bits(ellipsoid, monkeypatch: pytes
 
 def test_spans_of_vertices_and_single_tasks_agree(ellipsoid, monkeypatch: pytest.MonkeyPatch) -> None:
     config = configured(optimiser={"warmup": 2})
-    whole = Run(ellipsoid, config, "cpu", 6)
+    whole = DescendedRun(ellipsoid, config, "cpu", 6)
     monkeypatch.setattr("warpdef.kernels.ways.VERTICES_PER_TASK", 7)
-    np.testing.assert_array_equal(Run(ellipsoid, config, "cpu", 6).vertices, whole.vertices)
+    np.testing.assert_array_equal(DescendedRun(ellipsoid, config, "cpu", 6).vertices, whole.vertices)
 
 
 VARIANTS = {
@@ -98,7 +98,7 @@ VARIANTS = {
 @pytest.mark.parametrize("groups", VARIANTS.values(), ids=VARIANTS)
 def test_every_variant_descends(groups: dict, ellipsoid, device: str) -> None:
     groups = {**groups, "optimiser": {"warmup": 0, **groups.get("optimiser", {})}}
-    run = Run(ellipsoid, configured(**groups), device, 20)
+    run = DescendedRun(ellipsoid, configured(**groups), device, 20)
     assert np.isfinite(run.vertices).all()
     # What is left are the clouds' own gaps, most with plain distances; and without preconditioning steps are small.
     assert run.chamfer[-1] < 0.95 * run.chamfer[0]
@@ -108,7 +108,7 @@ def test_every_variant_descends(groups: dict, ellipsoid, device: str) -> None:
 
 @pytest.mark.parametrize("keyframe", [0, 3])
 def test_a_keyframe_at_an_end(keyframe: int, ellipsoid, device: str) -> None:
-    run = Run(ellipsoid, configured(optimiser={"warmup": 0}), device, 20, keyframe)
+    run = DescendedRun(ellipsoid, configured(optimiser={"warmup": 0}), device, 20, keyframe)
     assert run.chamfer[-1] < 0.8 * run.chamfer[0]
 
 
@@ -128,7 +128,7 @@ def off_surface(found: np.ndarray, moving: synthetic.Synthetic, rng: np.random.G
 def test_known_motion_is_recovered(kind, points: int, share: float, device: str, rng: np.random.Generator) -> None:
     """Vertices end near where they truly went. What slides along a smooth surface is seen by the isometry term only."""
     moving = kind(5, points, rng, subdivisions=2)
-    run = Run(moving, configured(optimiser={"warmup": 10}), device, 120, keyframe=2)
+    run = DescendedRun(moving, configured(optimiser={"warmup": 10}), device, 120, keyframe=2)
     still = np.tile(moving.vertices[2], (5, 1, 1))
     motion, error = (np.linalg.norm(v - moving.vertices, axis=2).mean(axis=1) for v in (still, run.vertices))
     before, after = (off_surface(v, moving, rng) for v in (still, run.vertices))
@@ -139,7 +139,7 @@ def test_known_motion_is_recovered(kind, points: int, share: float, device: str,
 
 
 def test_before_the_first_step_every_frame_is_the_template(ellipsoid, device: str) -> None:
-    run = Run(ellipsoid, configured(), device, 0)
+    run = DescendedRun(ellipsoid, configured(), device, 0)
     expected = np.tile(ellipsoid.vertices[1].astype(np.float32), (4, 1, 1))
     np.testing.assert_array_equal(run.vertices, expected)
 
@@ -147,7 +147,7 @@ def test_before_the_first_step_every_frame_is_the_template(ellipsoid, device: st
 def test_a_template_that_does_not_descend_stays(ellipsoid, device: str) -> None:
     """What Adam moves is (I + lambda L) x: left alone, it must solve back to the template, as far as the solve goes."""
     config = configured(optimiser={"template_rate": 0.0, "warmup": 2}, sobolev={"tolerance": 1e-6})
-    run = Run(ellipsoid, config, device, 6)
+    run = DescendedRun(ellipsoid, config, device, 6)
     np.testing.assert_allclose(run.vertices[1], ellipsoid.vertices[1], rtol=0, atol=2e-6)
 
 
@@ -158,14 +158,14 @@ def test_a_keyframe_that_shows_a_part_moves_no_template(seen: float, device: str
     kept = moving.clouds[1][:, 0] < seen
     clouds, normals = list(moving.clouds), list(moving.normals)
     clouds[1], normals[1] = clouds[1][kept], normals[1][kept]
-    run = Run(replace(moving, clouds=clouds, normals=normals), configured(), device, 12)
+    run = DescendedRun(replace(moving, clouds=clouds, normals=normals), configured(), device, 12)
     assert run.optimiser.problem.measures.complete[1] == (seen > 1)
     moved = np.abs(run.vertices[1] - moving.vertices[1]).max()
     assert moved > 1e-4 if seen > 1 else moved < 1e-6
 
 
 def test_during_warm_up_the_template_descends_and_isometry_waits(ellipsoid, device: str) -> None:
-    run = Run(ellipsoid, configured(optimiser={"warmup": 3}), device, 5)
+    run = DescendedRun(ellipsoid, configured(optimiser={"warmup": 3}), device, 5)
     assert [told["isometry"] > 0 for told in run.losses] == [False, False, False, True, True]
     assert [told["transform"] > 0 for told in run.losses] == [False, False, False, True, True]
     assert run.losses[2]["mesh"] != run.losses[0]["mesh"]
@@ -174,7 +174,7 @@ def test_during_warm_up_the_template_descends_and_isometry_waits(ellipsoid, devi
 def test_frames_far_from_the_keyframe_are_trusted_less(ellipsoid, device: str) -> None:
     """In the first iteration the template stands still: the farther a frame has turned, the more it is off."""
     run, blind = (
-        Run(ellipsoid, configured(optimiser={"warmup": 0}, loss={"confidence": c}), device, 1, keyframe=0)
+        DescendedRun(ellipsoid, configured(optimiser={"warmup": 0}, loss={"confidence": c}), device, 1, keyframe=0)
         for c in (True, False)
     )
     o = run.optimiser.objective
@@ -196,7 +196,7 @@ def test_preparing_changes_nothing(ellipsoid, device: str) -> None:
     np.testing.assert_array_equal(prepared.vertices(), np.tile(ellipsoid.vertices[1].astype(np.float32), (4, 1, 1)))
     for _ in range(5):
         prepared.iterate()
-    assert_same_way(prepared.vertices(), Run(ellipsoid, config, device, 5).vertices, 0.0, device)
+    assert_same_way(prepared.vertices(), DescendedRun(ellipsoid, config, device, 5).vertices, 0.0, device)
 
 
 def test_warps_own_solver_takes_the_same_way(device: str, rng: np.random.Generator) -> None:
@@ -204,7 +204,7 @@ def test_warps_own_solver_takes_the_same_way(device: str, rng: np.random.Generat
     vertices = []
     for solver in ("cg", "warp"):
         config = configured(grid={"levels": 3}, sobolev={"solver": solver, "tolerance": 1e-6}, optimiser={"warmup": 2})
-        vertices.append(Run(moving, config, device, 6).vertices)
+        vertices.append(DescendedRun(moving, config, device, 6).vertices)
     assert np.abs(vertices[0][2] - moving.vertices[1]).max() > 0.01
     assert_same_way(vertices[1], vertices[0], 1e-4, device)
 
@@ -212,7 +212,7 @@ def test_warps_own_solver_takes_the_same_way(device: str, rng: np.random.Generat
 def test_the_first_step_is_adam_on_the_preconditioned_gradient(ellipsoid, device: str) -> None:
     """u moves by the rate against the sign of (I + lambda L)^-1 g, and x is (I + lambda L)^-1 u."""
     config = configured(grid={"levels": 2}, optimiser={"warmup": 0, "rate": 5e-3, "decay": "constant"})
-    run = Run(ellipsoid, config, device, 1)
+    run = DescendedRun(ellipsoid, config, device, 1)
     found = run.optimiser.nodes.numpy()[..., :6].astype(np.float64)
     rates, lambdas = [5e-3, 5e-3 * 1.1], [0.25, 0.375]
     for n, begin, rate, weight in zip([1, 3], [0, 1], rates, lambdas, strict=True):

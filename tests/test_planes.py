@@ -75,7 +75,7 @@ def test_faces_without_area_and_vertices_without_faces(size: float, device: str)
 # Pairs.
 
 
-class Scene:
+class PlaneScene:
     """Two frames of random vertices and cloud points, their normals within or beyond agreement, all of them paired.
 
     met: vertex to cloud; asked: cloud to vertex. Some have no partner.
@@ -143,8 +143,8 @@ def _units(a: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(params=[None, (2.0, 3.0), (np.inf, 1.5)], ids=["all pairs", "one-sided", "one frame one-sided"])
-def scene(device: str, rng: np.random.Generator, request: pytest.FixtureRequest) -> Scene:
-    scene = Scene(device, rng)
+def scene(device: str, rng: np.random.Generator, request: pytest.FixtureRequest) -> PlaneScene:
+    scene = PlaneScene(device, rng)
     scene.mutual_reach = None if request.param is None else np.array(request.param, np.float32)
     return scene
 
@@ -154,7 +154,7 @@ def way(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-def test_normal_equations_match_the_twin(scene: Scene, way: str) -> None:
+def test_normal_equations_match_the_twin(scene: PlaneScene, way: str) -> None:
     planes = scene.planes(way)
     left_out = (planes.a == 0).all(axis=1)
     assert 5 < left_out.sum() < len(left_out) - 5
@@ -162,13 +162,13 @@ def test_normal_equations_match_the_twin(scene: Scene, way: str) -> None:
         assert_gradients_close(found, expected)
 
 
-def test_the_right_hand_side_is_minus_half_the_gradient(scene: Scene, way: str) -> None:
+def test_the_right_hand_side_is_minus_half_the_gradient(scene: PlaneScene, way: str) -> None:
     """At no move, with planes, weights and pairs held."""
     slope = finite_differences(scene.planes(way).energy, np.zeros((scene.count, 3)))
     assert_gradients_close(scene.run(way)[1], -0.5 * slope)
 
 
-def test_the_matrix_is_half_the_second_derivative(scene: Scene, way: str, rng: np.random.Generator) -> None:
+def test_the_matrix_is_half_the_second_derivative(scene: PlaneScene, way: str, rng: np.random.Generator) -> None:
     """The energy is a quadratic: E(d) = E(0) - 2 b . d + d . A d, whatever d is."""
     planes, (matrix, rhs) = scene.planes(way), scene.run(way)
     np.testing.assert_array_equal(matrix, matrix.transpose(0, 2, 1))
@@ -178,7 +178,7 @@ def test_the_matrix_is_half_the_second_derivative(scene: Scene, way: str, rng: n
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
-def test_the_right_hand_side_matches_autodiff(scene: Scene, way: str) -> None:
+def test_the_right_hand_side_matches_autodiff(scene: PlaneScene, way: str) -> None:
     planes, on = scene.planes(way), scene.device
     paired = np.flatnonzero(scene.index[way] >= 0)
     other = scene.index[way][paired]
@@ -193,14 +193,14 @@ def test_the_right_hand_side_matches_autodiff(scene: Scene, way: str) -> None:
     assert_gradients_close(scene.run(way)[1], -0.5 * gradient_of(move))
 
 
-def test_vertices_write_and_points_add(scene: Scene) -> None:
+def test_vertices_write_and_points_add(scene: PlaneScene) -> None:
     for found, fresh in zip(scene.run("met", start=5.0), scene.run("met"), strict=True):
         np.testing.assert_array_equal(found, fresh)
     for found, fresh in zip(scene.run("asked", start=5.0), scene.run("asked"), strict=True):
         np.testing.assert_allclose(found, fresh + 5.0, rtol=0, atol=1e-5)
 
 
-def test_no_partner_no_plane(scene: Scene, way: str) -> None:
+def test_no_partner_no_plane(scene: PlaneScene, way: str) -> None:
     found = scene.run("met")
     lonely = scene.index["met"] < 0
     assert lonely.any() and not any(a[lonely].any() for a in found)
@@ -208,7 +208,7 @@ def test_no_partner_no_plane(scene: Scene, way: str) -> None:
     assert not any(a.any() for a in scene.run(way))
 
 
-def test_spans_are_the_whole(scene: Scene, way: str) -> None:
+def test_spans_are_the_whole(scene: PlaneScene, way: str) -> None:
     whole = scene.run(way)
     for found, expected in zip(scene.run(way, cuts=(0, 1, 30, 44)), whole, strict=True):
         # CUDA adds what several points ask of a vertex in any order.
@@ -220,7 +220,7 @@ class Pair:
     """One vertex and one point, each the other's partner; both kernels must say the same."""
 
     def __init__(self, device: str, x, m, q, n, reach: float = 1.0) -> None:
-        scene = self.scene = Scene.__new__(Scene)
+        scene = self.scene = PlaneScene.__new__(PlaneScene)
         scene.device, scene.count = device, 1
         scene.x, scene.m, scene.q, scene.n = (np.array([a], np.float32) for a in (x, m, q, n))
         scene.frame = scene.index = {"met": np.array([0]), "asked": np.array([0])}
@@ -270,7 +270,7 @@ def test_far_pairs_fade(device: str) -> None:
     assert all(np.isfinite(a).all() for pair in found for a in pair)
 
 
-def test_each_frame_has_its_own_reach(scene: Scene, way: str) -> None:
+def test_each_frame_has_its_own_reach(scene: PlaneScene, way: str) -> None:
     before = scene.run(way)
     scene.reach[1] *= 2
     for a, b in zip(before, scene.run(way), strict=True):

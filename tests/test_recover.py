@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from leg_samples import DEGREE, body, cloud_of
 
-from warpdef.fit.recover import Cloud, Matches, Surface, recover
+from warpdef.fit.recover import Cloud, ConnectedSurface, Matches, recover
 from warpdef.geometry.triangles import unique_edges
 
 
@@ -28,7 +28,7 @@ def test_a_leg_on_the_wrong_leg_is_found(swing, oriented):
     # What nearest neighbours make of it: the second leg where the first one should be, and the other way round.
     wrong = truth.copy()
     wrong[1], _ = body((0.0, 6 * DEGREE))
-    assert Matches(clouds[1], Surface.of(faces, edges)).uncovered(wrong[1]) > 0.05
+    assert Matches(clouds[1], ConnectedSurface.of(faces, edges)).uncovered(wrong[1]) > 0.05
     before = wrong[0].copy()
     assert recover(wrong, clouds, faces, edges, keyframe=0) == ([1], [])
     np.testing.assert_array_equal(wrong[0], before)
@@ -146,7 +146,7 @@ def test_every_object_counts_by_itself(swing):
     both = np.concatenate([truth[0], small])
     both_faces = np.concatenate([faces, faces + len(small)])
     cloud = cloud_of(both, both_faces, 0)
-    matches = Matches(cloud, Surface.of(both_faces, unique_edges(both_faces)))
+    matches = Matches(cloud, ConnectedSurface.of(both_faces, unique_edges(both_faces)))
     trusted, goal, normal = matches.find(both)
     assert len(trusted) == len(goal) == len(normal)
     assert (trusted >= len(small)).sum() > 0.8 * len(small)
@@ -158,7 +158,7 @@ def test_matches_of_a_flat_patch_keep_their_sides(swing):
     truth, faces = swing
     right = cloud_of(truth[0], faces, 0)
     turned = Cloud(right.points, -right.normals, True, True)
-    surface = Surface.of(faces, unique_edges(faces))
+    surface = ConnectedSurface.of(faces, unique_edges(faces))
     assert len(Matches(turned, surface).find(truth[0])[0]) < 0.05 * len(truth[0])
     assert Matches(turned, surface).uncovered(truth[0]) > 0.9
     unknown = Cloud(right.points, -right.normals, False, False)

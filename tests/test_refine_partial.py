@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from present import present
-from refine_samples import AXES, Run, Scene, mean_square
+from refine_samples import AXES, MovingEllipsoid, Rounds, mean_square
 
 
 @pytest.fixture
-def scene(rng: np.random.Generator) -> Scene:
-    return Scene.make(4, 400, rng, subdivisions=1)
+def scene(rng: np.random.Generator) -> MovingEllipsoid:
+    return MovingEllipsoid.make(4, 400, rng, subdivisions=1)
 
 
 def test_what_a_frame_does_not_show_is_where_its_neighbours_say(device: str, rng: np.random.Generator) -> None:
     """The middle frame shows one half; the mesh's other half there starts shifted, as the grids might leave it."""
-    scene = Scene.make(3, 800, rng, seen=lambda t, p: (p[:, 0] < 0) | (t != 1))
+    scene = MovingEllipsoid.make(3, 800, rng, seen=lambda t, p: (p[:, 0] < 0) | (t != 1))
     start = scene.vertices
     start[1] += 0.15 * np.clip(scene.body[:, :1], 0, None) * [0, 0, 1]  # bent upwards
     unseen = scene.body[:, 0] > 0.2
-    run = Run(scene, start, device, 20, keyframe=0)
+    run = Rounds(scene, start, device, 20, keyframe=0)
     np.testing.assert_array_equal(run.problem.measures.complete, [True, False, True])
     assert run.stage.as_dict()["frames_partial"] == 1
     before, after = (
@@ -47,18 +47,18 @@ def test_what_a_frame_does_not_show_is_where_its_neighbours_say(device: str, rng
 )
 def test_a_guess_from_guesses_is_none(whole: list[int], held: list[int], device: str, rng: np.random.Generator) -> None:
     """What is not seen is held only beside a frame that shows all."""
-    scene = Scene.make(7, 500, rng, seen=lambda t, p: (p[:, 0] < 0) | (t in whole))
-    run = Run(scene, scene.vertices, device, 1, keyframe=3)
+    scene = MovingEllipsoid.make(7, 500, rng, seen=lambda t, p: (p[:, 0] < 0) | (t in whole))
+    run = Rounds(scene, scene.vertices, device, 1, keyframe=3)
     np.testing.assert_array_equal(np.flatnonzero(run.problem.measures.complete), whole)
     np.testing.assert_array_equal(run.stage.unseen.frames, held)
 
 
 def test_the_shape_is_that_of_frames_that_show_all(device: str, rng: np.random.Generator) -> None:
     """Frames that show one half say nothing, however wrong the other half of their meshes is."""
-    scene = Scene.make(5, 800, rng, seen=lambda t, p: (p[:, 0] < 0) | (t % 2 == 0))
+    scene = MovingEllipsoid.make(5, 800, rng, seen=lambda t, p: (p[:, 0] < 0) | (t % 2 == 0))
     bent = scene.vertices
     bent[1::2] += 0.3 * np.clip(scene.body[:, :1], 0, None) * [0, 0, 1]
-    run, straight = (Run(scene, start, device, 1, keyframe=2) for start in (bent, scene.vertices))
+    run, straight = (Rounds(scene, start, device, 1, keyframe=2) for start in (bent, scene.vertices))
     np.testing.assert_array_equal(np.flatnonzero(run.problem.measures.complete), [0, 2, 4])
     np.testing.assert_array_equal(run.rest, straight.rest)
     assert np.abs(run.rest - scene.vertices[2]).max() > 0
@@ -66,8 +66,8 @@ def test_the_shape_is_that_of_frames_that_show_all(device: str, rng: np.random.G
 
 def test_partial_frames_are_not_taken_for_lost_ones(device: str, rng: np.random.Generator) -> None:
     """Frames 0 and 2 show two caps that nothing joins: half of their points is on no connected part."""
-    scene = Scene.make(5, 900, rng, seen=lambda t, p: (np.abs(p[:, 0]) > 0.3) | (t not in (0, 2)))
-    run = Run(scene, scene.vertices, device, 10, keyframe=3)
+    scene = MovingEllipsoid.make(5, 900, rng, seen=lambda t, p: (np.abs(p[:, 0]) > 0.3) | (t not in (0, 2)))
+    run = Rounds(scene, scene.vertices, device, 10, keyframe=3)
     np.testing.assert_array_equal(np.flatnonzero(~run.problem.measures.complete), [0, 2])
     assert run.stage.frames_recovered == [] and run.stage.frames_lost == []
 
@@ -75,7 +75,7 @@ def test_partial_frames_are_not_taken_for_lost_ones(device: str, rng: np.random.
 @pytest.mark.parametrize("size", [0.9, 1.1])
 def test_an_open_mesh_ends_where_the_points_end(size: float, device: str, rng: np.random.Generator) -> None:
     """A cap that starts too small or too large along the surface gets the true border, which planes alone leave."""
-    scene = Scene.make(3, 900, rng, subdivisions=3, seen=lambda t, p: p[:, 2] < 0)
+    scene = MovingEllipsoid.make(3, 900, rng, subdivisions=3, seen=lambda t, p: p[:, 2] < 0)
     # The cap's vertices by their latitude, which the border shifts.
     scaled = scene.body / AXES
     low = scaled[:, 2] < 0.02
@@ -86,7 +86,7 @@ def test_an_open_mesh_ends_where_the_points_end(size: float, device: str, rng: n
     flat = scaled[used, :2] * (np.sin(angle) / across)[:, None]
     body = np.column_stack([flat, -np.cos(angle)]) * AXES
     scene = replace(scene, body=body, faces=faces.reshape(-1, 3).astype(np.int32))
-    run = Run(scene, scene.vertices, device, 20)
+    run = Rounds(scene, scene.vertices, device, 20)
     border = present(run.problem.border)[run.problem.place][:, 0] >= 0
     assert 30 < border.sum() < 0.3 * len(border)
 
@@ -99,12 +99,12 @@ def test_an_open_mesh_ends_where_the_points_end(size: float, device: str, rng: n
     assert np.sign(start) == np.sign(size - 1) and abs(found) < 0.35 * abs(start), f"{found}, before {start}"
 
 
-def test_borders_of_a_template(device: str, scene: Scene) -> None:
+def test_borders_of_a_template(device: str, scene: MovingEllipsoid) -> None:
     """Closed: none. Open: neighbours run around the hole, and the third lies inside."""
-    assert Run(scene, scene.vertices, device, 0).problem.border is None
+    assert Rounds(scene, scene.vertices, device, 0).problem.border is None
     low = scene.body[:, 2] < 0.01
     faces = scene.faces[low[scene.faces].all(axis=1)]
-    p = Run(replace(scene, faces=faces), scene.vertices, device, 0).problem
+    p = Rounds(replace(scene, faces=faces), scene.vertices, device, 0).problem
     border = present(p.border)
     k = np.flatnonzero(border[:, 0] >= 0)
     edges = {tuple(e) for f in p.faces for e in (f[[0, 1]], f[[1, 2]], f[[2, 0]])}
@@ -117,18 +117,18 @@ def test_borders_of_a_template(device: str, scene: Scene) -> None:
 
 def test_completeness_is_judged_by_area(rng: np.random.Generator) -> None:
     """Against the fullest frame, whatever the number of points, and against the template if all show a part."""
-    scene = Scene.make(4, 800, rng)
+    scene = MovingEllipsoid.make(4, 800, rng)
     few = [c[: 800 // (t + 1)] for t, c in enumerate(scene.clouds)]
     sparse = replace(scene, clouds=few, normals=[n[: len(c)] for n, c in zip(scene.normals, few, strict=True)])
-    assert Run(sparse, scene.vertices, "cpu", 0).problem.measures.complete.all()
+    assert Rounds(sparse, scene.vertices, "cpu", 0).problem.measures.complete.all()
     for seen, complete in (
         (lambda t, p: (p[:, 0] < 0.1) | (t % 2 == 0), [True, False, True, False]),
         # Some 0.79 of the fullest frame, more than is asked of the template.
         (lambda t, p: (p[:, 0] < 0.28) | (t % 2 == 0), [True, False, True, False]),
         (lambda t, p: p[:, t % 3] < 0, [False] * 4),
     ):
-        part = Scene.make(4, 1600, rng, seen=seen)
-        np.testing.assert_array_equal(Run(part, part.vertices, "cpu", 0).problem.measures.complete, complete)
+        part = MovingEllipsoid.make(4, 1600, rng, seen=seen)
+        np.testing.assert_array_equal(Rounds(part, part.vertices, "cpu", 0).problem.measures.complete, complete)
     tiny = [c[:60] for c in scene.clouds[:3]] + [scene.clouds[3]]
     tiny = replace(scene, clouds=tiny, normals=[n[: len(c)] for n, c in zip(scene.normals, tiny, strict=True)])
-    assert Run(tiny, scene.vertices, "cpu", 0).problem.measures.complete.all()
+    assert Rounds(tiny, scene.vertices, "cpu", 0).problem.measures.complete.all()

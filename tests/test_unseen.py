@@ -9,7 +9,7 @@ import warp as wp
 import witness_refine
 from gradients import assert_gradients_close, finite_differences, gradient_of
 from present import present
-from test_planes import Scene, put, spans
+from test_planes import PlaneScene, put, spans
 
 from warpdef.kernels.unseen import expected_places, hold_unseen
 
@@ -49,7 +49,7 @@ def test_half_a_turn_and_spans(device: str, rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(expected(device, many, rotation, *times, cuts=(0, 5, 20)), whole)
 
 
-class Held(Scene):
+class Held(PlaneScene):
     """The scene of random pairs, and a place where each vertex is expected; the second frame is left alone."""
 
     def __init__(self, device: str, rng: np.random.Generator, hold=(0.4, 0.0)) -> None:

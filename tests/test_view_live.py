@@ -26,7 +26,7 @@ MESHES = MeshSequence(VERTICES, BAR.faces)
 IDLE = "import sys, time; time.sleep(60)"
 
 
-class Counted:
+class CountedHand:
     """Hands out a mesh, and counts how often it was asked."""
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ def start(monkeypatch, told: list[str], program: str) -> LiveView:
 
 
 def test_a_mesh_is_asked_for_only_when_the_last_was_taken(monkeypatch, told):
-    view, hand = start(monkeypatch, told, IDLE), Counted()
+    view, hand = start(monkeypatch, told, IDLE), CountedHand()
     view(Progress("template"))
     for iteration in range(5):
         view(hand.progress(iteration))
@@ -102,7 +102,7 @@ def test_handing_out_keeps_to_its_share(monkeypatch, told):
 
 
 def test_a_window_that_is_closed_ends_quietly(monkeypatch, told):
-    view, hand = start(monkeypatch, told, ""), Counted()
+    view, hand = start(monkeypatch, told, ""), CountedHand()
     present(view._process).wait()
     view(hand.progress())
     view(hand.progress())
@@ -112,7 +112,7 @@ def test_a_window_that_is_closed_ends_quietly(monkeypatch, told):
 
 def test_a_window_that_crashes_is_told_once(monkeypatch, told):
     crash = "import os, sys; print('libGL.so: Failed to load', file=sys.stderr, flush=True); os.kill(os.getpid(), 11)"
-    view, hand = start(monkeypatch, told, crash), Counted()
+    view, hand = start(monkeypatch, told, crash), CountedHand()
     present(view._process).wait()
     for _ in range(3):
         view(hand.progress())
@@ -125,14 +125,14 @@ def test_a_window_that_crashes_is_told_once(monkeypatch, told):
 def test_without_a_screen_nothing_is_started(monkeypatch, told):
     monkeypatch.delenv("DISPLAY")
     monkeypatch.setattr(live.subprocess, "Popen", None)
-    view, hand = LiveView(SEQUENCE, "a test", told.append), Counted()
+    view, hand = LiveView(SEQUENCE, "a test", told.append), CountedHand()
     view(hand.progress())
     view.close()
     assert hand.asked == 0 and "no screen" in told[0] and "goes on without a window" in told[0]
 
 
 def test_a_full_disk_ends_the_window(monkeypatch, told):
-    view, hand = start(monkeypatch, told, IDLE), Counted()
+    view, hand = start(monkeypatch, told, IDLE), CountedHand()
 
     def full(*_arguments, **_how):
         raise OSError(28, "No space left on device")

@@ -16,7 +16,7 @@ from warpdef.kernels.schedule import advance
 from warpdef.kernels.vectors import clear_losses
 
 
-class Counted:
+class CountedTask:
     """Stands in for a recorded launch."""
 
     def __init__(self, seen: list[int], number: int, error: Exception | None = None) -> None:
@@ -37,7 +37,7 @@ def team(request: pytest.FixtureRequest):
 
 def test_every_list_runs_once_and_in_its_own_order(team: Team) -> None:
     seen: list[int] = []
-    work = [[Counted(seen, 10 * task + k) for k in range(3)] for task in range(7)]
+    work = [[CountedTask(seen, 10 * task + k) for k in range(3)] for task in range(7)]
     for _ in range(20):
         seen.clear()
         team.run(work)
@@ -66,11 +66,11 @@ def test_several_threads_take_part() -> None:
 
 def test_a_failure_reaches_the_caller_and_the_team_goes_on(team: Team) -> None:
     seen: list[int] = []
-    work = [[Counted(seen, 1)], [Counted(seen, 2, ArithmeticError("a launch failed"))], [Counted(seen, 3)]]
+    work = [[CountedTask(seen, 1)], [CountedTask(seen, 2, ArithmeticError("a launch failed"))], [CountedTask(seen, 3)]]
     with pytest.raises(ArithmeticError, match="a launch failed"):
         team.run(work)
     seen.clear()
-    team.run([[Counted(seen, n)] for n in range(4)])
+    team.run([[CountedTask(seen, n)] for n in range(4)])
     assert sorted(seen) == [0, 1, 2, 3]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from warpdef.errors import InputError
 from warpdef.files.checkpoint import digests
-from warpdef.files.saved_run import Run
+from warpdef.files.saved_run import SavedRun
 from warpdef.prepare import clean, read_input
 from warpdef.sequence import PointSequence
 
@@ -14,7 +14,7 @@ KEPT = "clouds.npz"
 """Where a demo keeps its clouds, inside the run folder."""
 
 
-def clouds_of(run: Run, place: Path | None = None) -> PointSequence:
+def clouds_of(run: SavedRun, place: Path | None = None) -> PointSequence:
     """The points that the run used: its own frames, cleaned and drawn as by ``pipeline.reconstruct``.
 
     Args:

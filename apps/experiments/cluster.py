@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from warpdef.apps.experiments.run import Run, execute
+from warpdef.apps.experiments.run import ExperimentRun, execute
 from warpdef.apps.experiments.session import Executor
 from warpdef.errors import InputError, MissingPackageError
 
@@ -106,7 +106,7 @@ def on_cluster(
             "--workers dask needs Dask; install it with: pip install 'warpdef[cluster]'"
         ) from None
 
-    def go(runs: Sequence[Run]) -> Iterator[tuple[Run, dict[str, Any] | Exception]]:
+    def go(runs: Sequence[ExperimentRun]) -> Iterator[tuple[ExperimentRun, dict[str, Any] | Exception]]:
         if not runs:
             return
         from distributed import as_completed
@@ -129,7 +129,7 @@ def on_cluster(
     return go
 
 
-def _of_this_code(run: Run, result: dict[str, Any]) -> dict[str, Any] | Exception:
+def _of_this_code(run: ExperimentRun, result: dict[str, Any]) -> dict[str, Any] | Exception:
     """The result, or an error where the worker's code makes another key of the same run."""
     if result["key"] == run.key:
         return result
@@ -192,7 +192,7 @@ def _local_cluster(workers: int, stack: ExitStack) -> Any:
     )
 
 
-def _work(run: Run, slots: list[Slot], device: str, threads: int | None, keep: Path | None) -> dict[str, Any]:
+def _work(run: ExperimentRun, slots: list[Slot], device: str, threads: int | None, keep: Path | None) -> dict[str, Any]:
     """One run on whatever worker this is; a local one, numbered by its cluster, keeps to its slot."""
     from distributed import get_worker
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from warpdef.apps.experiments.plan import Experiment, Plan, Setting, benchmark, descent, label
-from warpdef.apps.experiments.run import Run, to_and_fro, value_of
+from warpdef.apps.experiments.run import ExperimentRun, to_and_fro, value_of
 
 IDEAS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("tangential damping", {"loss.tangential": 1.0}),
@@ -57,7 +57,7 @@ def accuracy(plan: Plan) -> Experiment:
     return Experiment("accuracy", "Accuracy against targets", rows, notes=tuple(notes))
 
 
-def _given_clouds(plan: Plan) -> dict[str, Run]:
+def _given_clouds(plan: Plan) -> dict[str, ExperimentRun]:
     """Folders NAME_clouds with points.npz: clouds as a user brings them, of the sequence whose name ends in NAME."""
     found = {}
     for file in sorted(plan.folder.glob("*_clouds/points.npz")) if plan.folder is not None else ():

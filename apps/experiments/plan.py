@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from warpdef.apps.experiments.run import Run, TruthSource, frame_text, with_values
+from warpdef.apps.experiments.run import ExperimentRun, TruthSource, frame_text, with_values
 from warpdef.config import Config, parse_slice
 from warpdef.errors import InputError
 
@@ -42,7 +42,7 @@ class Setting:
     """
 
     name: str
-    runs: tuple[Run, ...]
+    runs: tuple[ExperimentRun, ...]
     x: float | None = None
     about: str = ""
 
@@ -57,7 +57,7 @@ class Experiment:
     axis: str = ""
     notes: tuple[str, ...] = ()
 
-    def runs(self) -> list[Run]:
+    def runs(self) -> list[ExperimentRun]:
         """All runs, each once, in the order of the table."""
         return list({run.key: run for setting in self.settings for run in setting.runs}.values())
 
@@ -78,11 +78,11 @@ class Plan:
     meshes: Path | None = None
     folder: Path | None = None
 
-    def run(self, source: TruthSource, values: dict[str, Any] | None = None, **changes: Any) -> Run:
+    def run(self, source: TruthSource, values: dict[str, Any] | None = None, **changes: Any) -> ExperimentRun:
         """One run of ``source`` with its usual frames; ``values`` go into the configuration, ``changes`` into it."""
         config = with_values(self.config, values or {})
         usual = {"frames": self.usual_frames(source), "points": self.size.points, "samples": self.size.samples}
-        return Run(source=source, config=config, **{**usual, **changes})
+        return ExperimentRun(source=source, config=config, **{**usual, **changes})
 
     def usual_frames(self, source: TruthSource) -> tuple[int, ...]:
         """Those asked for; else as many as the size says, from where the sequence's benchmark begins.
@@ -105,7 +105,7 @@ class Plan:
         """The sequence on which a single change is shown: the first with a benchmark's note, else the first."""
         return next((s for s in self.sequences if benchmark(s)), self.sequences[0])
 
-    def each(self, values: dict[str, Any] | None = None, **changes: Any) -> tuple[Run, ...]:
+    def each(self, values: dict[str, Any] | None = None, **changes: Any) -> tuple[ExperimentRun, ...]:
         """The same run on every sequence."""
         return tuple(self.run(source, values, **changes) for source in self.sequences)
 
@@ -125,7 +125,7 @@ def benchmark(source: TruthSource) -> dict[str, Any]:
     return found if isinstance(found, dict) and isinstance(found.get("first_frame"), int) else {}
 
 
-def label(run: Run) -> str:
+def label(run: ExperimentRun) -> str:
     """``crane 10:27``: sequence and frames."""
     return f"{run.source.name} {frame_text(run.frames)}"
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from warpdef.apps.experiments.plan import Experiment, Setting
 from warpdef.apps.experiments.published import Published, published
-from warpdef.apps.experiments.run import Run, frame_text
+from warpdef.apps.experiments.run import ExperimentRun, frame_text
 from warpdef.apps.experiments.session import Outcome, Results
 from warpdef.apps.experiments.store import write_text
 from warpdef.apps.experiments.verdicts import verdicts
@@ -38,7 +38,7 @@ def table_rows(experiment: Experiment, results: Results) -> list[dict[str, Any]]
     return rows
 
 
-def _own_row(setting: Setting, run: Run, result: dict[str, Any]) -> dict[str, Any]:
+def _own_row(setting: Setting, run: ExperimentRun, result: dict[str, Any]) -> dict[str, Any]:
     return {
         **_blank(setting),
         "who": OURS,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from warpdef.sequence import PointSequence
 
 TRUTH_TEMPLATE = "truth"
-"""In ``Run.template``: the true mesh of the keyframe, the best that any outside initialiser could give."""
+"""In ``ExperimentRun.template``: the true mesh of the keyframe, the best that any outside initialiser could give."""
 
 
 class TruthSource(Protocol):
@@ -68,7 +68,7 @@ def _walk(frames: int) -> MeshSequence:
 
 
 @dataclass(frozen=True)
-class Run:
+class ExperimentRun:
     """Everything that decides the numbers of one run, and nothing else.
 
     source:   the true sequence
@@ -144,7 +144,9 @@ def to_and_fro(available: int, count: int) -> tuple[int, ...]:
     return tuple(min(i % period, period - i % period) for i in range(count))
 
 
-def execute(run: Run, device: str = "auto", threads: int | None = None, keep: Path | None = None) -> dict[str, Any]:
+def execute(
+    run: ExperimentRun, device: str = "auto", threads: int | None = None, keep: Path | None = None
+) -> dict[str, Any]:
     """Do one run and measure its result.
 
     Args:
@@ -192,7 +194,7 @@ def execute(run: Run, device: str = "auto", threads: int | None = None, keep: Pa
     }
 
 
-def load_truth(run: Run) -> MeshSequence:
+def load_truth(run: ExperimentRun) -> MeshSequence:
     """The true frames of a run, in the coordinates of its clouds."""
     import numpy as np
 
@@ -206,7 +208,7 @@ def load_truth(run: Run) -> MeshSequence:
     return warpdef.MeshSequence(vertices, loaded.faces)
 
 
-def _clouds(run: Run, truth: MeshSequence) -> PointSequence:
+def _clouds(run: ExperimentRun, truth: MeshSequence) -> PointSequence:
     if run.clouds is None:
         return warpdef.sample_sequence(truth, run.points, noise=run.noise, seed=run.config.seed)
     clouds = warpdef.read_clouds(run.clouds)
@@ -216,7 +218,7 @@ def _clouds(run: Run, truth: MeshSequence) -> PointSequence:
     return clouds.subsample(run.points, run.config.seed) if run.points else clouds
 
 
-def _template(run: Run, truth: MeshSequence, clouds: PointSequence) -> tuple[TriMesh | None, Config]:
+def _template(run: ExperimentRun, truth: MeshSequence, clouds: PointSequence) -> tuple[TriMesh | None, Config]:
     """The mesh given from outside, and the configuration, which then names the frame that the mesh belongs to."""
     if not run.template:
         return None, run.config

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from warpdef.apps.experiments.plan import Experiment, label
-from warpdef.apps.experiments.run import Run, execute
+from warpdef.apps.experiments.run import ExperimentRun, execute
 from warpdef.apps.experiments.store import Store
 from warpdef.errors import WarpdefError
 
 Results = dict[str, dict[str, Any]]
-Executor = Callable[[Sequence[Run]], Iterator[tuple[Run, "dict[str, Any] | Exception"]]]
+Executor = Callable[[Sequence[ExperimentRun]], Iterator[tuple[ExperimentRun, "dict[str, Any] | Exception"]]]
 """Does runs in any order; yields each with its result, or with what stopped it."""
 
 
@@ -90,7 +90,7 @@ def explain(error: BaseException) -> str:
 def here(device: str = "auto", threads: int | None = None, keep: Path | None = None) -> Executor:
     """One run after the other in this process; those that ask for it in a process of their own."""
 
-    def go(runs: Sequence[Run]) -> Iterator[tuple[Run, dict[str, Any] | Exception]]:
+    def go(runs: Sequence[ExperimentRun]) -> Iterator[tuple[ExperimentRun, dict[str, Any] | Exception]]:
         for run in runs:
             try:
                 work = _in_fresh_process if run.fresh else execute
@@ -101,7 +101,7 @@ def here(device: str = "auto", threads: int | None = None, keep: Path | None = N
     return go
 
 
-def _in_fresh_process(run: Run, device: str, threads: int | None, keep: Path | None) -> dict[str, Any]:
+def _in_fresh_process(run: ExperimentRun, device: str, threads: int | None, keep: Path | None) -> dict[str, Any]:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from warpdef.apps.experiments.run import Run
+from warpdef.apps.experiments.run import ExperimentRun
 from warpdef.errors import InputError
 from warpdef.files.disk import replacing
 from warpdef.files.json_text import json_text
@@ -27,11 +27,11 @@ class Store:
         except OSError as error:
             raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder") from None
 
-    def path(self, run: Run) -> Path:
+    def path(self, run: ExperimentRun) -> Path:
         """Where a run's result lies or will lie."""
         return self._runs / f"{run.key}.json"
 
-    def find(self, run: Run) -> dict[str, Any] | None:
+    def find(self, run: ExperimentRun) -> dict[str, Any] | None:
         """The result of a finished run, or None.
 
         Raises:
@@ -49,7 +49,7 @@ class Store:
             raise InputError(f"{path}: expected the result of a run, got something else; remove it to run again")
         return result
 
-    def put(self, run: Run, result: dict[str, Any]) -> None:
+    def put(self, run: ExperimentRun, result: dict[str, Any]) -> None:
         """Keep a finished run."""
         write_text(self.path(run), json_text(result) + "\n")
 

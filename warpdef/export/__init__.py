@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Format:
+class ExportFormat:
     """One format.
 
     writer:    ``module:function`` of the package, called with the animation and a path in an empty folder; empty where
@@ -60,11 +60,11 @@ class Format:
         return [path, *(path.with_name(name) for name in names)]
 
 
-_USDZ = Format("usd:write_usd", "Universal Scene Description, time samples; needs the extra [usd]", measured=True)
+_USDZ = ExportFormat("usd:write_usd", "Universal Scene Description, time samples; needs the extra [usd]", measured=True)
 _USD = replace(_USDZ, image=True)
 
 FORMATS = {
-    "glb": Format(
+    "glb": ExportFormat(
         "gltf:write_glb",
         "binary glTF, a morph target a frame, or a rig: web, Blender, game engines",
         rigged="gltf_rig:write_rigged_glb",
@@ -76,29 +76,33 @@ FORMATS = {
     "usda": _USD,
     "usdc": _USD,
     "usdz": _USDZ,
-    "pc2": Format("point_cache:write_pc2", "point cache, with the base mesh as .obj", beside=("{}_pc2.obj",)),
-    "mdd": Format("point_cache:write_mdd", "point cache, with the base mesh as .obj", beside=("{}_mdd.obj",)),
-    "pvd": Format("paraview:write_pvd", "ParaView, with a folder of .vtp files", beside=("{}_vtp",), measured=True),
-    "obj": Format("mesh_folders:write_obj_folder", "a folder of OBJ files", is_folder=True),
-    "ply": Format("mesh_folders:write_ply_folder", "a folder of binary PLY files", is_folder=True, measured=True),
-    "stl": Format("print_folders:write_stl_folder", "a folder of binary STL files", is_folder=True),
-    "3mf": Format("print_folders:write_3mf_folder", "a folder of 3MF files, in millimetres", is_folder=True),
-    "npz": Format("archive:write_npz_animation", "NumPy: vertices (T, V, 3), faces, fps, names, up", measured=True),
-    "anime": Format("anime:write_anime", "DeformingThings4D"),
-    "bvh": Format("", "the bones of a rig, as motion capture has them", rigged="bvh:write_bvh"),
+    "pc2": ExportFormat("point_cache:write_pc2", "point cache, with the base mesh as .obj", beside=("{}_pc2.obj",)),
+    "mdd": ExportFormat("point_cache:write_mdd", "point cache, with the base mesh as .obj", beside=("{}_mdd.obj",)),
+    "pvd": ExportFormat(
+        "paraview:write_pvd", "ParaView, with a folder of .vtp files", beside=("{}_vtp",), measured=True
+    ),
+    "obj": ExportFormat("mesh_folders:write_obj_folder", "a folder of OBJ files", is_folder=True),
+    "ply": ExportFormat("mesh_folders:write_ply_folder", "a folder of binary PLY files", is_folder=True, measured=True),
+    "stl": ExportFormat("print_folders:write_stl_folder", "a folder of binary STL files", is_folder=True),
+    "3mf": ExportFormat("print_folders:write_3mf_folder", "a folder of 3MF files, in millimetres", is_folder=True),
+    "npz": ExportFormat(
+        "archive:write_npz_animation", "NumPy: vertices (T, V, 3), faces, fps, names, up", measured=True
+    ),
+    "anime": ExportFormat("anime:write_anime", "DeformingThings4D"),
+    "bvh": ExportFormat("", "the bones of a rig, as motion capture has them", rigged="bvh:write_bvh"),
 }
 """Formats of moving meshes by suffix, without the dot."""
 
 POINT_FORMATS = {
-    "ply": Format("points:write_points_ply_folder", "a folder of binary PLY files", is_folder=True),
-    "npz": Format("points:write_points_npz", "NumPy: points (T, N, 3), as a sequence of clouds, names, fps"),
+    "ply": ExportFormat("points:write_points_ply_folder", "a folder of binary PLY files", is_folder=True),
+    "npz": ExportFormat("points:write_points_npz", "NumPy: points (T, N, 3), as a sequence of clouds, names, fps"),
 }
 """Formats of moving points."""
 
 _NUMBERED = re.compile(r"[0-9]{4,}\.(obj|ply|vtp|stl|3mf)")
 
 
-def format_of(path: Path | str, name: str = "", points: bool = False) -> Format:
+def format_of(path: Path | str, name: str = "", points: bool = False) -> ExportFormat:
     """The format of a name without a dot, or, where that is empty, of the suffix of ``path``.
 
     Args:
@@ -126,7 +130,7 @@ def format_of(path: Path | str, name: str = "", points: bool = False) -> Format:
     raise InputError(f"{path}: unknown suffix {got}; expected one of {known}{meant}")
 
 
-def check_place(path: Path | str, form: Format, overwrite: bool = False, texture: Texture | None = None) -> None:
+def check_place(path: Path | str, form: ExportFormat, overwrite: bool = False, texture: Texture | None = None) -> None:
     """Check, before anything is read or computed, that an export to ``path`` would find its places free.
 
     Args:
@@ -203,7 +207,7 @@ def export(
         shutil.rmtree(stage, ignore_errors=True)
 
 
-def check_content(path: Path | str, form: Format, rigged: bool, measured: bool, meshopt: bool = False) -> None:
+def check_content(path: Path | str, form: ExportFormat, rigged: bool, measured: bool, meshopt: bool = False) -> None:
     """Check that a format can hold what it is to hold.
 
     Args:

@@ -17,7 +17,7 @@ from warpdef.files.surface import Surface
 
 
 @dataclass(frozen=True)
-class Format:
+class InputFormat:
     """One format.
 
     reader:    ``module:function`` of this package, called with a path
@@ -34,22 +34,22 @@ class Format:
     weak: bool = False
 
 
-_TABLE = Format("tables:read_table", columns=True)
+_TABLE = InputFormat("tables:read_table", columns=True)
 _WEAK_TABLE = replace(_TABLE, weak=True)
 
 FORMATS = {
-    ".ply": Format("ply:read_ply", has_faces=True),
-    ".obj": Format("text_formats:read_obj", has_faces=True),
-    ".off": Format("text_formats:read_off", has_faces=True),
+    ".ply": InputFormat("ply:read_ply", has_faces=True),
+    ".obj": InputFormat("text_formats:read_obj", has_faces=True),
+    ".off": InputFormat("text_formats:read_off", has_faces=True),
     **dict.fromkeys((".xyz", ".pts", ".asc", ".xyzn", ".xyzrgb"), _TABLE),
     **dict.fromkeys((".txt", ".csv", ".tsv"), _WEAK_TABLE),
-    ".npy": Format("numpy_files:read_npy_points", columns=True),
-    ".pcd": Format("pcd:read_pcd"),
-    ".las": Format("las:read_las"),
-    ".laz": Format("las:read_las"),
-    **dict.fromkeys((".stl", ".glb", ".gltf", ".3mf", ".dae"), Format("scenes:read_scene", True, merges=True)),
-    ".e57": Format("e57:read_e57"),
-    ".npz": Format("cloud_archives:read_npz_points", weak=True),
+    ".npy": InputFormat("numpy_files:read_npy_points", columns=True),
+    ".pcd": InputFormat("pcd:read_pcd"),
+    ".las": InputFormat("las:read_las"),
+    ".laz": InputFormat("las:read_las"),
+    **dict.fromkeys((".stl", ".glb", ".gltf", ".3mf", ".dae"), InputFormat("scenes:read_scene", True, merges=True)),
+    ".e57": InputFormat("e57:read_e57"),
+    ".npz": InputFormat("cloud_archives:read_npz_points", weak=True),
 }
 """Formats of one frame by suffix."""
 

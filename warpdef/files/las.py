@@ -30,7 +30,7 @@ _LASZIP = (b"laszip encoded", 22204)
 
 
 @dataclass(frozen=True)
-class _Header:
+class _LasHeader:
     """count: points. start: of the points. length: of a point's record. records: of variable length, before start."""
 
     count: int
@@ -59,7 +59,7 @@ def read_las(path: Path) -> Surface:
     return Surface(_unpacked(data, header, path) if header.compressed else _records(data, header, path))
 
 
-def _parse_header(data: bytes, path: Path) -> _Header:
+def _parse_header(data: bytes, path: Path) -> _LasHeader:
     if not data.startswith(b"LASF") or len(data) < _LEAST_HEADER:
         raise InputError(f"{path}: expected a LAS file, got one that does not start as one; check its suffix")
     minor, header_size, start, records = data[25], *struct.unpack_from("<HII", data, 94)
@@ -74,10 +74,10 @@ def _parse_header(data: bytes, path: Path) -> _Header:
         raise InputError(f"{path}: the LAS header is damaged; write the file again")
     if not np.isfinite(offset).all() or records > (start - header_size) // _RECORD_HEADER.size:
         raise InputError(f"{path}: the LAS header is damaged; write the file again")
-    return _Header(count, start, length, compressed, scale, offset, header_size, records)
+    return _LasHeader(count, start, length, compressed, scale, offset, header_size, records)
 
 
-def _records(data: bytes, header: _Header, path: Path) -> np.ndarray:
+def _records(data: bytes, header: _LasHeader, path: Path) -> np.ndarray:
     """Positions of a body that is not compressed, shape (N, 3)."""
     if header.count > (len(data) - header.start) // header.length:
         raise InputError(
@@ -88,7 +88,7 @@ def _records(data: bytes, header: _Header, path: Path) -> np.ndarray:
     return header.placed(np.frombuffer(data, row, header.count, header.start)["xyz"])
 
 
-def _unpacked(data: bytes, header: _Header, path: Path) -> np.ndarray:
+def _unpacked(data: bytes, header: _LasHeader, path: Path) -> np.ndarray:
     """Positions of a compressed body, shape (N, 3)."""
     try:
         import lazrs
@@ -136,7 +136,7 @@ def _no_standard_error() -> Iterator[None]:
         os.close(kept)
 
 
-def _chunks(lazrs: Any, data: bytes, settings: bytes, header: _Header) -> Iterator[np.ndarray]:
+def _chunks(lazrs: Any, data: bytes, settings: bytes, header: _LasHeader) -> Iterator[np.ndarray]:
     stream = io.BytesIO(data)
     stream.seek(header.start)
     unpacker = lazrs.LasZipDecompressor(stream, settings)
@@ -150,7 +150,7 @@ def _chunks(lazrs: Any, data: bytes, settings: bytes, header: _Header) -> Iterat
         left -= len(rows)
 
 
-def _check_chunks(data: bytes, header: _Header, path: Path) -> None:
+def _check_chunks(data: bytes, header: _LasHeader, path: Path) -> None:
     """The table of chunks stands behind the points; its length is checked before the library allocates it."""
     try:
         (table,) = struct.unpack_from("<q", data, header.start)
@@ -166,7 +166,7 @@ def _check_chunks(data: bytes, header: _Header, path: Path) -> None:
         raise InputError(f"{path}: the table of chunks is damaged; write the file again") from None
 
 
-def _variable_records(data: bytes, header: _Header) -> Iterator[tuple[tuple[bytes, int], bytes]]:
+def _variable_records(data: bytes, header: _LasHeader) -> Iterator[tuple[tuple[bytes, int], bytes]]:
     at = header.header_size
     for _ in range(header.records):
         if at + _RECORD_HEADER.size > header.start:

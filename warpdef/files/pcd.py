@@ -27,7 +27,7 @@ _VALUES_MAX = 1 << 16  # values of a field
 
 
 @dataclass(frozen=True)
-class _Header:
+class _PcdHeader:
     """names, dtypes, counts: of each field. points: their number. form: of the data, which begin at ``start``."""
 
     names: tuple[str, ...]
@@ -60,7 +60,7 @@ def read_pcd(path: Path) -> Surface:
     return named_surface(columns, passed)
 
 
-def _parse_header(data: bytes, where: str) -> _Header:
+def _parse_header(data: bytes, where: str) -> _PcdHeader:
     end = re.search(rb"^DATA[ \t]+(\w+)[ \t]*\r?(\n|\Z)", data[:_HEADER_MAX], re.MULTILINE)
     if end is None:
         raise InputError(f"{where}: expected a PCD header with a line DATA, got none; check the file's suffix")
@@ -87,10 +87,10 @@ def _parse_header(data: bytes, where: str) -> _Header:
             "write the file again"
         ) from None
     dtypes = tuple(np.dtype(f"<{kind.lower()}{size}") for kind, size in kinds)
-    return _Header(tuple(names), dtypes, tuple(counts), points, form, end.end())
+    return _PcdHeader(tuple(names), dtypes, tuple(counts), points, form, end.end())
 
 
-def _read_text(data: bytes, header: _Header, path: Path) -> dict[str, np.ndarray]:
+def _read_text(data: bytes, header: _PcdHeader, path: Path) -> dict[str, np.ndarray]:
     """Columns of an ascii body, a point a line. Block by block: as words the numbers would take far more memory."""
     width = sum(header.counts)
     if not width or header.points > len(data) // width:
@@ -110,7 +110,7 @@ def _read_text(data: bytes, header: _Header, path: Path) -> dict[str, np.ndarray
     return {name: table[:, first[i]] for i, name in _single(header)}
 
 
-def _read_rows(data: bytes, header: _Header, path: Path) -> dict[str, np.ndarray]:
+def _read_rows(data: bytes, header: _PcdHeader, path: Path) -> dict[str, np.ndarray]:
     """Columns of a binary body: points one after the other."""
     row = header.row
     if not row.itemsize or header.points > (len(data) - header.start) // row.itemsize:
@@ -119,7 +119,7 @@ def _read_rows(data: bytes, header: _Header, path: Path) -> dict[str, np.ndarray
     return {name: table[f"f{i}"][:, 0] for i, name in _single(header)}
 
 
-def _read_compressed(data: bytes, header: _Header, path: Path) -> dict[str, np.ndarray]:
+def _read_compressed(data: bytes, header: _PcdHeader, path: Path) -> dict[str, np.ndarray]:
     """Columns of a compressed body: two sizes, then fields one after the other, packed together by LZF."""
     if len(data) - header.start < 8:
         raise _truncated(path, header)
@@ -141,7 +141,7 @@ def _read_compressed(data: bytes, header: _Header, path: Path) -> dict[str, np.n
     return columns
 
 
-def _single(header: _Header) -> list[tuple[int, str]]:
+def _single(header: _PcdHeader) -> list[tuple[int, str]]:
     """Index and role of the fields that are read; they must have one value a point."""
     return [
         (i, role)
@@ -150,7 +150,7 @@ def _single(header: _Header) -> list[tuple[int, str]]:
     ]
 
 
-def _truncated(path: Path, header: _Header) -> InputError:
+def _truncated(path: Path, header: _PcdHeader) -> InputError:
     return InputError(
         f"{path}: expected {header.points} points as the PCD header says, got other data than that; it is truncated: "
         "write it again"

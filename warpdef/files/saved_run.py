@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Run(Moving):
+class SavedRun(Moving):
     """A run read back; see ``load_run``.
 
     meshes:     the result, input units   T frames, V vertices, F faces
@@ -88,7 +88,7 @@ class Run(Moving):
         return motion
 
 
-def load_run(path: Path | str) -> Run:
+def load_run(path: Path | str) -> SavedRun:
     """Read a run folder back.
 
     Raises:
@@ -124,7 +124,7 @@ def load_run(path: Path | str) -> Run:
     image = next((path / name for name in TEXTURES if (path / name).is_file()), None)
     if image is not None and (appearance.uv is not None or appearance.corner_uv is not None):
         appearance = replace(appearance, texture=read_texture_file(image))
-    return Run(path, meshes, keyframe, names, load_config(path / "config.toml"), report, appearance, confidence)
+    return SavedRun(path, meshes, keyframe, names, load_config(path / "config.toml"), report, appearance, confidence)
 
 
 def write_metrics(path: Path | str, metrics: Mapping[str, Any]) -> Path:

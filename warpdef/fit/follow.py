@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from warpdef.fit.objective import Objective
-from warpdef.fit.recover import Cloud, Search, Surface
+from warpdef.fit.recover import Cloud, ConnectedSurface, Search
 from warpdef.fit.refine import Refinement
 from warpdef.geometry.cloud_normals import turned_to
 from warpdef.geometry.triangles import vertex_normals
@@ -57,7 +57,7 @@ class _Walk:
             Cloud(points, normals, bool(sided), bool(sided))
             for points, normals, sided in zip(self.points, self.normals, p.oriented, strict=True)
         ]
-        surface = Surface.of(p.faces, p.edges.numpy())
+        surface = ConnectedSurface.of(p.faces, p.edges.numpy())
         self.search = Search(objective.vertices.numpy().astype(np.float64), clouds, surface, p.transitions.keyframe)
         self.bent: set[int] = set()
 

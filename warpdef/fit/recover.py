@@ -57,7 +57,7 @@ class Cloud:
 
 
 @dataclass(frozen=True)
-class Surface:
+class ConnectedSurface:
     """faces: (F, 3). edges: (E, 2), each once. component: which connected component a vertex is in (V,)."""
 
     faces: np.ndarray
@@ -65,7 +65,7 @@ class Surface:
     component: np.ndarray
 
     @classmethod
-    def of(cls, faces: np.ndarray, edges: np.ndarray) -> Surface:
+    def of(cls, faces: np.ndarray, edges: np.ndarray) -> ConnectedSurface:
         starts, ends = edges.T
         return cls(faces, edges, component_labels(starts, ends, int(max(faces.max(), edges.max())) + 1))
 
@@ -73,7 +73,7 @@ class Surface:
 class Matches:
     """Which vertices of a mesh lie on a cloud, in one connected part of the mesh."""
 
-    def __init__(self, cloud: Cloud, surface: Surface) -> None:
+    def __init__(self, cloud: Cloud, surface: ConnectedSurface) -> None:
         from scipy.spatial import cKDTree
 
         self.cloud, self.surface = cloud, surface
@@ -131,7 +131,7 @@ def recover(
     Returns:
         Frames recovered, and frames that stay lost.
     """
-    search = Search(vertices, clouds, Surface.of(faces, edges), keyframe)
+    search = Search(vertices, clouds, ConnectedSurface.of(faces, edges), keyframe)
     for side in (range(keyframe + 1, len(clouds)), range(keyframe - 1, -1, -1)):
         for t in side:
             if search.lost(t):
@@ -150,7 +150,7 @@ class Search:
         surface: of the mesh. keyframe: a frame that fits.
     """
 
-    def __init__(self, vertices: np.ndarray, clouds: list[Cloud], surface: Surface, keyframe: int) -> None:
+    def __init__(self, vertices: np.ndarray, clouds: list[Cloud], surface: ConnectedSurface, keyframe: int) -> None:
         self.vertices, self._clouds, self._surface, self._keyframe = vertices, clouds, surface, keyframe
         self._matches = [Matches(cloud, surface) for cloud in clouds]
         self._uncovered: dict[int, float] = {}
