@@ -27,6 +27,7 @@ from warpdef.fit.run import FitRun
 from warpdef.fit.saving import Saved, Saver, lasting_facts
 from warpdef.fit.workers import Team
 from warpdef.geometry.cloud_normals import pca_normals
+from warpdef.geometry.viewpoint import seen_normals, viewing_direction
 from warpdef.kernel_cache import cache_warnings
 from warpdef.memory import MemoryEstimate
 from warpdef.mesh import MeshSequence, TriMesh, float32_where_exact
@@ -84,7 +85,8 @@ def reconstruct(
     # Keyframe Selection: the frame with most surface near the middle, and screened Poisson on it.
     tell(Progress("template"))
     with clock.phase("template"):
-        chosen = _template(sequence, template, into, config, saved)
+        view = viewing_direction(clouds) if any(n is None for n in sequence.normals) else None
+        chosen = _template(sequence, template, into, config, saved, view)
     for warning in (*sequence.warnings, *chosen.warnings):
         tell(Progress("template", message=warning))
 
@@ -93,9 +95,9 @@ def reconstruct(
         tell(Progress("compile", message=told[-1] if told else ""))
         with closing(Team(team_size(target, threads))) as team, explained_shortage(estimate, target):
             with clock.phase("compile"):
-                normals = _surface_normals(clouds, sequence.normals, config)
+                normals = _surface_normals(clouds, sequence.normals, config, view)
                 mesh = chosen.mesh
-                given = [n is not None for n in sequence.normals]
+                given = [n is not None or view is not None for n in sequence.normals]
                 keyframe = sequence.numbers.index(chosen.keyframe)
                 steady = replace(config, optimiser=config.optimiser.for_length(len(clouds)))
                 problem = Problem(clouds, normals, mesh.vertices, mesh.faces, keyframe, steady, target, given)
@@ -145,7 +147,12 @@ def reconstruct(
 
 
 def _template(
-    sequence: PointSequence, template: TriMesh | None, into: Similarity, config: Config, saved: Saved | None
+    sequence: PointSequence,
+    template: TriMesh | None,
+    into: Similarity,
+    config: Config,
+    saved: Saved | None,
+    view: np.ndarray | None,
 ) -> ChosenTemplate:
     mine, notes = None, ()
     if template is not None:
@@ -156,7 +163,7 @@ def _template(
     # Frames are numbered as in the input: one without usable points is an empty cloud.
     clouds = [into.to_cube(p) for p in sequence.all_frames()]
     if mine is None:
-        return choose_template(clouds, sequence.all_normals(), config)
+        return choose_template(clouds, sequence.all_normals(), config, view)
     chosen = accept_user_template(mine, clouds, config)
     return replace(chosen, warnings=[*notes, *chosen.warnings])
 
@@ -175,12 +182,15 @@ def _with_meshes(
 
 
 def _surface_normals(
-    clouds: list[np.ndarray], given: Sequence[np.ndarray | None], config: Config
+    clouds: list[np.ndarray], given: Sequence[np.ndarray | None], config: Config, view: np.ndarray | None
 ) -> list[np.ndarray] | None:
-    """Normals of all points: given ones, else of local planes, whose side is open; None where nothing asks for them."""
+    """Normals of all points: given ones, else of local planes, whose side is open but where all were seen from one
+    direction; None where nothing asks for them."""
     if config.loss.tangential == 1.0 and not config.refine.iterations:
         return None
     neighbours = config.template.neighbours
+    if view is not None:
+        return [seen_normals(p, view, neighbours) if n is None else n for p, n in zip(clouds, given, strict=True)]
     return [pca_normals(p, neighbours) if n is None else n for p, n in zip(clouds, given, strict=True)]
 
 

@@ -32,7 +32,7 @@ class TemplateReport:
     """How a template came about.
 
     backend:       ``gpytoolbox``, ``pymeshlab``, or ``user``
-    normals:       ``given``, ``estimated``, or ``none`` for a user's mesh
+    normals:       ``given``, ``estimated``, ``seen`` (their side from one camera), or ``none`` for a user's mesh
     flipped:       given normals that were turned over
     method:        ``poisson``, ``tetrahedra``, or ``none`` for a user's mesh
     depth:         octree depth of screened Poisson
@@ -71,7 +71,11 @@ class TemplateResult:
 
 
 def build(
-    points: np.ndarray, normals: np.ndarray | None, config: TemplateConfig, backend: Backend | None = None
+    points: np.ndarray,
+    normals: np.ndarray | None,
+    config: TemplateConfig,
+    backend: Backend | None = None,
+    source: str = "given",
 ) -> TemplateResult:
     """A template with about min(faces_max, faces_per_point * N) even triangles, never more.
 
@@ -85,6 +89,7 @@ def build(
         normals: shape (N, 3), unit length; clearly inverted ones are turned over. None: estimated.
         config: method, depth, screening, the kind of surface and the number of faces.
         backend: from ``load_backend``; None: the configured one.
+        source: of the normals: ``seen`` ones have the side of a camera, which is beyond doubt.
 
     Raises:
         InputError: the reconstruction yields no usable surface.
@@ -93,10 +98,10 @@ def build(
     backend = backend or load_backend(config.backend)
     points = np.asarray(points, dtype=np.float64)
     warnings = []
-    flipped, source = 0, "estimated" if normals is None else "given"
+    flipped = 0
     if normals is None:
-        normals = estimate_normals(points, config.neighbours)
-    else:
+        normals, source = estimate_normals(points, config.neighbours), "estimated"
+    elif source == "given":
         normals, flipped = repair_normals(points, normals, config.neighbours)
         if flipped > FLIPPED_WARN * len(points):
             warnings.append(f"{flipped} of {len(points)} given normals pointed inwards and were turned over")

@@ -10,6 +10,7 @@ import numpy as np
 from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.geometry import triangles
+from warpdef.geometry.viewpoint import seen_normals
 from warpdef.mesh import TriMesh
 from warpdef.template.build import FLIPPED_WARN, TemplateReport, build
 from warpdef.template.keyframe import rank_keyframes, spread_out
@@ -42,7 +43,10 @@ class ChosenTemplate:
 
 
 def choose_template(
-    clouds: Sequence[np.ndarray], normals: Sequence[np.ndarray | None], config: Config
+    clouds: Sequence[np.ndarray],
+    normals: Sequence[np.ndarray | None],
+    config: Config,
+    view: np.ndarray | None = None,
 ) -> ChosenTemplate:
     """Build templates on the best keyframes, in order, until one passes the quality gate and has no handle.
 
@@ -58,6 +62,7 @@ def choose_template(
         clouds: one array a frame, each (N_t, 3), cube units.
         normals: one array a frame, each (N_t, 3), unit length, or None where unknown.
         config: the whole configuration; ``seed``, ``keyframe`` and ``template`` matter here.
+        view: shape (3,), towards the one camera that saw all clouds, which tells the side of normals; None: no such.
 
     Raises:
         InputError: the keyframe asked for does not exist, or no surface came out of any frame tried.
@@ -69,7 +74,7 @@ def choose_template(
     for candidate in candidates:
         if normals[candidate.frame] is not None:
             attempts.append((candidate, "given"))
-        attempts.append((candidate, "estimated"))
+        attempts.append((candidate, "estimated" if view is None else "seen"))
     warnings: list[str] = []
     failed: list[ChosenTemplate] = []
     passed: list[ChosenTemplate] = []
@@ -80,7 +85,10 @@ def choose_template(
         if _cost(frame, 0, len(clouds)) >= least:
             continue  # it could not be better
         try:
-            built = build(clouds[frame], normals[frame] if source == "given" else None, config.template, backend)
+            sides = normals[frame] if source == "given" else None
+            if view is not None and source == "seen":
+                sides = seen_normals(clouds[frame], view, config.template.neighbours)
+            built = build(clouds[frame], sides, config.template, backend, source)
         except InputError as error:
             if passed:
                 continue

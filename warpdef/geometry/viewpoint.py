@@ -1,0 +1,104 @@
+"""Where clouds were seen from: the direction of the one depth camera that stood still, if there was one.
+
+Seen from its camera a cloud has one layer: of points that lie side by side in the picture few differ in depth. All
+around a body there are two, whatever the direction. A camera in front and one behind would see the same layers; but
+what is seen of a body bulges towards who sees it. The direction fixes the side of every normal, where a field made for
+closed bodies (``cloud_normals``) has to guess, and does so from frame to frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from warpdef.geometry.cloud_normals import pca_normals, turned_to
+
+FRAMES = 5  # asked, spread over the sequence
+SAMPLE = 2000  # points of each
+DIRECTIONS = 32  # over half of the sphere, 20 degrees apart; then finer ones around the best
+BESIDE = 6  # neighbours in the picture
+STEP = 3.0  # depth between two of them, in their distance there or the spacing, from which they lie on two layers
+LAYERED_MAX = 0.12
+"""Share of steps up to which a cloud has one layer: 0.00 to 0.11 from one camera, 0.15 from two, 0.4 all around."""
+PLAUSIBLE = 0.15  # the same for the nearest of the first directions
+AROUND = 32  # neighbours against whose middle a point bulges
+BULGE_MIN = 0.1  # mean over points, in units of the mean size: a sheet, waved about, has no outside
+
+
+def viewing_direction(clouds: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Unit vector towards the camera that saw all clouds, shape (3,); None if they do not look so.
+
+    Args:
+        clouds: T arrays (N_t, 3), any units. Some frames and points speak for all.
+    """
+    chosen = np.unique(np.linspace(0, len(clouds) - 1, min(FRAMES, len(clouds))).round().astype(int))
+    samples = [_sample(clouds[t]) for t in chosen]
+    middle = samples[len(samples) // 2]
+    half = half_sphere(DIRECTIONS)
+    layered = [layered_share(middle, d) for d in half]
+    if min(layered) > PLAUSIBLE:
+        return None
+    best = half[int(np.argmin(layered))]
+    for reach in (0.2, 0.1):
+        around = best + reach * np.concatenate([np.zeros((1, 3)), *_across(best)])
+        around /= np.linalg.norm(around, axis=1, keepdims=True)
+        best = around[int(np.argmin([np.mean([layered_share(s, d) for s in samples]) for d in around]))]
+    if max(layered_share(s, best) for s in samples) > LAYERED_MAX:
+        return None
+    bulge = float(np.mean([_bulge(s, best) for s in samples]))
+    if abs(bulge) < BULGE_MIN:
+        return None
+    return best if bulge > 0 else -best
+
+
+def seen_normals(points: np.ndarray, view: np.ndarray, neighbours: int) -> np.ndarray:
+    """Unit normals of local planes, shape (N, 3), on the side of ``view``, shape (3,)."""
+    return turned_to(pca_normals(points, neighbours), np.broadcast_to(view, points.shape))
+
+
+def half_sphere(count: int) -> np.ndarray:
+    """Directions spread evenly over half of the sphere, shape (count, 3): a spiral of the golden angle."""
+    i = np.arange(count) + 0.5
+    z, angle = i / count, np.pi * (1.0 + 5.0**0.5) * i
+    r = np.sqrt(1.0 - z * z)
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle), z])
+
+
+def layered_share(points: np.ndarray, direction: np.ndarray) -> float:
+    """Share of neighbours in the picture along ``direction`` (3,) of points (N, 3) that lie on another layer."""
+    from scipy.spatial import cKDTree
+
+    u, v = _across(direction)[0][:2]
+    picture, depth = points @ np.column_stack([u, v]), points @ direction
+    count = min(BESIDE, len(points) - 1)
+    distance, index = cKDTree(picture).query(picture, k=count + 1)
+    # The spacing of a picture all over, by its own area: two layers must not make it finer.
+    apart = np.maximum(distance[:, 1:], np.median(distance[:, -1]) / np.sqrt(count))
+    return float(np.mean(np.abs(depth[index[:, 1:]] - depth[:, None]) > STEP * apart))
+
+
+def _bulge(points: np.ndarray, direction: np.ndarray) -> float:
+    """Mean height over the middle of the points around, along normals on the side of ``direction``; -1 to 1."""
+    from scipy.spatial import cKDTree
+
+    normals = seen_normals(points, direction, 16)
+    index = cKDTree(points).query(points, k=min(AROUND + 1, len(points)))[1]
+    height = ((points - points[index].mean(axis=1)) * normals).sum(axis=1)
+    return float(height.mean() / max(np.abs(height).mean(), 1e-300))
+
+
+def _across(direction: np.ndarray) -> list[np.ndarray]:
+    """Unit vectors across a direction: two at a right angle, between them, and all of these turned round; (8, 3)."""
+    u = np.cross(direction, np.eye(3)[int(np.abs(direction).argmin())])
+    u /= np.linalg.norm(u)
+    v = np.cross(direction, u)
+    slant = np.sqrt(0.5)
+    ring = np.array([u, v, slant * (u + v), slant * (u - v)])
+    return [ring, -ring]
+
+
+def _sample(points: np.ndarray) -> np.ndarray:
+    if len(points) <= SAMPLE:
+        return points
+    return points[np.random.default_rng(0).choice(len(points), SAMPLE, replace=False)]
