@@ -20,9 +20,9 @@ def whole(rng, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def seen(eye, rng, count: int = 1500) -> tuple[np.ndarray, np.ndarray]:
-    """The part of the ellipsoid, moved away, that looks towards ``eye``."""
-    points, normals = whole(rng, 2 * count)
-    shown = normals @ np.asarray(eye) > 0.05
+    """The part of the ellipsoid, moved away, that looks towards ``eye``, a point a pixel."""
+    points, normals = whole(rng, 4 * count)
+    shown = normals @ np.asarray(eye) > rng.random(len(points))
     return points[shown] + [3.0, -2.0, 5.0], normals[shown]
 
 
@@ -34,7 +34,7 @@ def test_one_camera_is_found_and_gives_normals_their_outward_side(eye):
     view = viewing_direction([points for points, _ in frames])
     assert view is not None and view @ eye > np.cos(np.deg2rad(20.0))
     for points, normals in frames:
-        assert ((seen_normals(points, view, 16) * normals).sum(axis=1) > 0).mean() > 0.99
+        assert ((seen_normals(points, view, 16) * normals).sum(axis=1) > 0).mean() > 0.97
 
 
 def test_a_whole_body_was_seen_by_no_single_camera():

@@ -18,9 +18,10 @@ FRAMES = 5  # asked, spread over the sequence
 SAMPLE = 2000  # points of each
 DIRECTIONS = 32  # over half of the sphere, 20 degrees apart; then finer ones around the best
 BESIDE = 6  # neighbours in the picture
-STEP = 3.0  # depth between two of them, in their distance there or the spacing, from which they lie on two layers
-LAYERED_MAX = 0.12
-"""Share of steps up to which a cloud has one layer: 0.00 to 0.11 from one camera, 0.15 from two, 0.4 all around."""
+STEP = 3.0  # least depth between two of them that lie on two layers, in their distance there or the spacing there, ...
+APART = 4.0  # ... and least distance, in spacings: a steep place is no step
+LAYERED_MAX = 0.1
+"""Share of steps up to which a cloud has one layer: 0.00 to 0.09 from one camera, 0.12 from two, 0.35 all around."""
 PLAUSIBLE = 0.15  # the same for the nearest of the first directions
 AROUND = 32  # neighbours against whose middle a point bulges
 BULGE_MIN = 0.1  # mean over points, in units of the mean size: a sheet, waved about, has no outside
@@ -75,7 +76,10 @@ def layered_share(points: np.ndarray, direction: np.ndarray) -> float:
     distance, index = cKDTree(picture).query(picture, k=count + 1)
     # The spacing of a picture all over, by its own area: two layers must not make it finer.
     apart = np.maximum(distance[:, 1:], np.median(distance[:, -1]) / np.sqrt(count))
-    return float(np.mean(np.abs(depth[index[:, 1:]] - depth[:, None]) > STEP * apart))
+    step = np.abs(depth[index[:, 1:]] - depth[:, None]) > STEP * apart
+    around = cKDTree(points).query(points, k=count + 1)[0][:, -1]
+    away = np.linalg.norm(points[index[:, 1:]] - points[:, None], axis=2)
+    return float(np.mean(step & (away > APART * np.median(around) / np.sqrt(count))))
 
 
 def _bulge(points: np.ndarray, direction: np.ndarray) -> float:
