@@ -43,6 +43,8 @@ def view(
     trajectories: Flag = False,
     wireframe: Flag = False,
     flat: Flag = False,
+    scale_bar: Flag = False,
+    transparent: Flag = False,
     fps: Annotated[float, Parameter(validator=Number(gt=0))] = 12.0,
     up: Literal["y", "z"] = "y",
     unit: str = "input units",
@@ -76,9 +78,11 @@ def view(
         trajectories: Show the ways of some vertices.
         wireframe: Show the edges of the triangles on the surface.
         flat: Shade every triangle by itself.
+        scale_bar: Show how long a length is in the middle of what is seen.
+        transparent: Leave the background out of the picture, a .png.
         fps: Frames a second.
         up: The axis that points up.
-        unit: What the colour bar calls a length of 1.
+        unit: What the bars call a length of 1.
         frame: The frame shown first, counted from 0.
         azimuth: Where the camera stands, degrees about the up axis.
         elevation: How high it stands, degrees above the ground.
@@ -99,6 +103,8 @@ def view(
         raise InputError("--sheet: expected --screenshot FILE.png for the picture, got none; name it")
     if turntable and movie is None:
         raise InputError("--turntable: expected --movie FILE for it, got none; name it")
+    if transparent and (screenshot is None or screenshot.suffix.lower() != ".png" or movie is not None):
+        raise InputError("--transparent: expected --screenshot FILE.png alone; other files have no transparency")
     if not output.exists():
         raise InputError(f"{output}: nothing is there; expected the folder of a result, as reconstruct writes it")
     check_outputs(screenshot, movie, html, overwrite)
@@ -122,7 +128,7 @@ def view(
         if frame >= len(content):
             raise InputError(f"--frame: expected 0..{len(content) - 1}, got {frame}")
         stand = Stand(azimuth, elevation, zoom)
-        look = Look(color, cloud, trajectories, wireframe, not flat, clim, cmap)
+        look = Look(color, cloud, trajectories, wireframe, not flat, clim, cmap, scale_bar, transparent)
         _check_look(content, look)
         if html is not None:
             _write_html(content, look, html, fps, frame, stand, output.resolve().name)

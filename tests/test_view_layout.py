@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from warpdef.apps.viewer.bars import round_length
 from warpdef.apps.viewer.camera import VIEW_ANGLE, Room, Stand, camera_axes, fit_camera, seen_aspect
 from warpdef.apps.viewer.captions import frame_title, room_for
 from warpdef.apps.viewer.content import Content, Pane
@@ -58,6 +59,13 @@ def test_the_narrowest_pane_shows_the_motion_as_large():
     aspect = seen_aspect(points, "y", Stand(), room)
     wide, narrow, narrower = (fit_camera(points, "y", a, room=room).distance for a in (50.0, aspect, 0.9 * aspect))
     assert narrow == pytest.approx(wide, rel=2e-3) and narrower > 1.03 * wide
+
+
+@pytest.mark.parametrize(
+    ("most", "length"), [(1.0, 1.0), (0.999, 0.5), (4.9, 2.0), (730.0, 500.0), (1e-4, 1e-4), (2.3e-7, 2e-7)]
+)
+def test_the_scale_bar_has_a_round_length(most, length):
+    assert round_length(most) == pytest.approx(length)
 
 
 @pytest.mark.parametrize("height", [64, 120, 400, 2000])

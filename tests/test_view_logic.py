@@ -330,6 +330,8 @@ def test_no_screen_no_window(monkeypatch, tmp_path, capfd):
         (["--screenshot", "absent/a.png"], ["absent", "make it first"]),
         (["--html", "there.html"], ["there.html", "already exists", "--overwrite"]),
         (["--sheet", "4"], ["--sheet", "--screenshot"]),
+        (["--transparent"], ["--transparent", "--screenshot FILE.png"]),
+        (["--transparent", "--screenshot", "a.jpg"], ["--transparent", "no transparency"]),
         (["--turntable"], ["--turntable", "--movie"]),
         (["--html", "a.html", "--frame", "5"], ["--frame", "0..4", "got 5"]),
         (["--html", "a.html", "--color", "error"], ["--color error", "--truth or --input"]),

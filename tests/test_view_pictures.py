@@ -13,7 +13,7 @@ from view_samples import BAR, VERTICES, drawing, save_clouds, save_run, save_tru
 from warpdef.apps.main import run
 from warpdef.apps.viewer import probe as view_probe
 from warpdef.apps.viewer.actors import Look
-from warpdef.apps.viewer.camera import Stand
+from warpdef.apps.viewer.camera import Stand, pixels_per_length
 from warpdef.apps.viewer.content import Content, Pane, load_content
 from warpdef.apps.viewer.scene import Scene
 from warpdef.mesh import MeshSequence
@@ -152,6 +152,39 @@ def test_a_sheet_has_one_bar(out):
     # The map's colours from one end to the other, and nowhere else in what is written.
     colored = np.ptp(foot, axis=2).max(axis=0) > 60
     assert 0.4 * foot.shape[1] < colored.sum() < 0.8 * foot.shape[1]
+
+
+def test_a_transparent_picture(out, tmp_path):
+    for flags in ([], ["--sheet", "3"]):
+        opaque = shot(out, "--color", "plain", *flags)
+        assert run(["view", str(out), "--screenshot", str(tmp_path / "b.png"), "--transparent", "--color", "plain",
+                    *SIZE, *flags]) == 0  # fmt: skip
+        with Image.open(tmp_path / "b.png") as image:
+            assert image.mode == "RGBA"
+            seen = np.asarray(image)
+        (tmp_path / "b.png").unlink()
+        share = seen[..., 3:] / 255.0
+        on_white = seen[..., :3] * share + 255.0 * (1.0 - share)
+        assert np.abs(on_white - opaque).max() < 3.0
+        assert 0.5 < (share == 0.0).mean() < 0.95 and (share == 1.0).mean() > 0.03
+
+
+def test_the_scale_bar_is_as_long_as_it_says(out):
+    made = Scene(load_content(out, unit="m"), off_screen=True, size=(400, 300), look=Look("plain", scale_bar=True))
+    try:
+        label = made.captions.scale_bar.label
+        dark = (made.picture() < 60).all(axis=2)
+        made.plotter.renderers[0].camera.zoom(1.0)
+        camera = made.plotter.renderers[0].camera
+        per_length = pixels_per_length(camera.distance, 300)
+        camera.position = tuple(np.add(camera.focal_point, 2.0 * np.subtract(camera.position, camera.focal_point)))
+        made.picture()
+        assert made.captions.scale_bar.label != label  # twice as far away
+    finally:
+        made.close()
+    length, unit = label.split()
+    row = dark[200:].sum(axis=1).argmax() + 200
+    assert unit == "m" and dark[row].sum() == pytest.approx(float(length) * per_length, abs=3)
 
 
 def test_a_gif(out, tmp_path):

@@ -25,6 +25,7 @@ class Look:
     color: ``plain``, ``template`` or a measure
     clim:  ends of that measure's bar; None: from the values
     cmap:  matplotlib's name of the measures' colour map; empty: the usual ones
+    transparent: pictures have no background
     """
 
     color: str = MATERIAL
@@ -34,6 +35,8 @@ class Look:
     smooth: bool = True
     clim: tuple[float, float] | None = None
     cmap: str = ""
+    scale_bar: bool = False
+    transparent: bool = False
 
 
 class SurfaceActor:

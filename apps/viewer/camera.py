@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
 VIEW_ANGLE = 30.0
 """Vertical opening of the camera, degrees."""
-MARGIN = 1.28
-"""Room above and below the motion in a page, as a factor of its height."""
 AZIMUTH, ELEVATION = 25.0, 12.0
 """The usual place, degrees."""
 
@@ -66,16 +64,6 @@ def camera_axes(up: str, azimuth: float, elevation: float = ELEVATION) -> tuple[
     return right, above, back
 
 
-def box_extent(
-    bounds: tuple[np.ndarray, np.ndarray], up: str, azimuth: float, elevation: float = ELEVATION
-) -> list[float]:
-    """Half the width, height and depth of a box seen from an azimuth, in its own units."""
-    import numpy as np
-
-    half = (bounds[1] - bounds[0]) / 2.0
-    return [float(np.abs(axis) @ half) for axis in camera_axes(up, azimuth, elevation)]
-
-
 def fit_camera(
     points: np.ndarray,
     up: str,
@@ -125,9 +113,9 @@ def fit_camera(
     return Camera(focus + distance * back, focus, above, distance)
 
 
-def pixels_per_length(camera: Camera, height: int) -> float:
-    """How many pixels of a picture of that height a length of 1 has at the camera's focus."""
-    return height / (2.0 * camera.distance * math.tan(math.radians(VIEW_ANGLE / 2.0)))
+def pixels_per_length(distance: float, height: int) -> float:
+    """How many pixels of a picture of that height a length of 1 has at that distance from the camera."""
+    return height / (2.0 * distance * math.tan(math.radians(VIEW_ANGLE / 2.0)))
 
 
 def seen_aspect(points: np.ndarray, up: str, stand: Stand, room: Room) -> float:

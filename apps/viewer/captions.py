@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from warpdef.apps.viewer.bars import BAR, SCALE_BAR, ColorBar, ScaleBar
 from warpdef.apps.viewer.camera import Room
-from warpdef.apps.viewer.flat import Boxes, Text, letter_size, shortened
+from warpdef.apps.viewer.flat import Text, letter_size, shortened
 
 if TYPE_CHECKING:
     from warpdef.apps.viewer.content import Content, Pane
@@ -14,19 +15,18 @@ if TYPE_CHECKING:
 LINE = 1.3
 """Height of a line, in letters' sizes, as all heights here."""
 TITLE_LINES = 2
-BAR = 5.6
-"""Height of the bar with what is written about it."""
 SLIDER = 5.0
 """Height below the bar that a window's slider takes."""
 _EDGE = 0.5
-_LABELS = 5
 
 
-def room_for(height: int, *, tile: bool = False, bar: bool = False, slider: bool = False) -> Room:
-    """What titles, bar and slider leave of a picture of that height in pixels."""
+def room_for(
+    height: int, *, tile: bool = False, bar: bool = False, scale_bar: bool = False, slider: bool = False
+) -> Room:
+    """What titles, bars and slider leave of a picture of that height in pixels."""
     size = tile_letter_size(height) if tile else letter_size(height)
     above = _EDGE + (LINE if tile else LINE * TITLE_LINES)
-    below = _EDGE + (BAR if bar else 0.0) + (SLIDER if slider else 0.0)
+    below = _EDGE + (BAR if bar else 0.0) + (SCALE_BAR if scale_bar else 0.0) + (SLIDER if slider else 0.0)
     # Small pictures would be nothing but text.
     top, bottom = (min(part * size / height, 0.3) for part in (above, below))
     return Room(top=top, bottom=bottom)
@@ -56,11 +56,13 @@ def overlay(plotter: Any) -> Any:
 
 
 class Captions:
-    """Titles of all panes, and the bar."""
+    """Titles of all panes, the bars, and what is under the mouse."""
 
     def __init__(self, plotter: Any) -> None:
         self._titles = [Text(renderer) for renderer in plotter.renderers]
-        self.bar = ColorBar(overlay(plotter))
+        over = overlay(plotter)
+        self.bar, self.scale_bar = ColorBar(over), ScaleBar(over)
+        self._reading = Text(over, "right")
 
     def put(
         self, content: Content, scales: Scales, color: str, frame: int, size: tuple[int, int], *, slider: bool = False
@@ -92,6 +94,26 @@ class Captions:
             text.put(shortened(words, pane_width - 0.5 * letters, letters), place, letters)
         self.bar.hide()
 
+    def put_scale(
+        self, content: Content, color: str, pixels: float, size: tuple[int, int], *, slider: bool = False
+    ) -> None:
+        """The scale bar, above the colour bar, where a length of 1 takes so many pixels."""
+        letters = letter_size(size[1])
+        bar = BAR if color in content.measures else 0.0
+        below, pane_width = letters * (2.0 * _EDGE + bar + (SLIDER if slider else 0.0)), size[0] / len(content.panes)
+        self.scale_bar.put(pixels, content.unit, size, letters, below, min(0.14 * size[0], 0.4 * pane_width))
+
+    def put_reading(self, words: str, size: tuple[int, int]) -> None:
+        """What is under the mouse, in the second line's right corner."""
+        letters = letter_size(size[1])
+        words = shortened(words, 0.7 * size[0], letters)
+        self._reading.put(words, (1.0 - 0.5 * letters / size[0], 1.0 - (0.4 + LINE) * letters / size[1]), letters)
+
+    @property
+    def reading(self) -> str:
+        """What is said to be under the mouse."""
+        return self._reading.text
+
     @property
     def titles(self) -> list[str]:
         """What is written above the panes."""
@@ -102,66 +124,3 @@ def pane_title(pane: Pane, color: str) -> str:
     """A pane's title, with what its error is the distance to."""
     measured = pane.colouring is not None and color == "error" and pane.against
     return f"{pane.title}: distance to {pane.against}" if measured else pane.title
-
-
-class ColorBar:
-    """Five labels under a band of colours, what they measure above it, what its ends are below."""
-
-    def __init__(self, renderer: Any) -> None:
-        self._band = Boxes(renderer)
-        self._title, self._note = Text(renderer, "center", "bottom"), Text(renderer, "center")
-        self._labels = [Text(renderer, "center") for _ in range(_LABELS)]
-        self.hide()
-
-    def hide(self) -> None:
-        """Draw nothing."""
-        self._band.show(False)
-        for text in (self._title, self._note, *self._labels):
-            text.put("", (0.0, 0.0), 10.0)
-
-    def put(
-        self,
-        scales: Scales,
-        measure: str,
-        unit: str,
-        frames: list[int],
-        size: tuple[int, int],
-        letters: float,
-        bottom: float,
-    ) -> None:
-        """Draw it.
-
-        Args:
-            unit: of a length. frames: those that are seen.
-            size: width and height of the picture in pixels. letters: their size in pixels.
-            bottom: pixels below it.
-        """
-        import numpy as np
-
-        from warpdef.vertex_measures import MEASURES
-
-        colors, limits = scales.colors(measure), scales.limits(measure)
-        title, note = MEASURES[measure].label.format(unit), scales.note(measure, frames)
-        width, height = size
-        half = min(0.3 * width, 22.0 * letters) / width
-        line = letters / height
-        low = bottom / height + 3.0 * line
-        x = np.linspace(0.5 - half, 0.5 + half, len(colors) + 1)
-        edge = np.full(len(colors), low)
-        self._band.put(np.column_stack([x[:-1], edge, x[1:], edge + 0.8 * line]), colors)
-        self._band.show(True)
-        self._title.put(shortened(title, 0.98 * width, letters), (0.5, low + 1.1 * line), letters)
-        self._note.put(shortened(note, 0.98 * width, letters), (0.5, low - 1.8 * line), letters)
-        places = np.linspace(0.5 - half, 0.5 + half, _LABELS)
-        for text, place, value in zip(self._labels, places, np.linspace(*limits, _LABELS), strict=True):
-            text.put(f"{value:.3g}", (float(place), low - 0.35 * line), letters)
-
-    @property
-    def labels(self) -> list[str]:
-        """The numbers that it shows."""
-        return [text.text for text in self._labels]
-
-    @property
-    def words(self) -> tuple[str, str]:
-        """What is written above and below."""
-        return self._title.text, self._note.text

@@ -66,6 +66,7 @@ class Content:
     names: what the frames are called     T strings
     up:    the axis that points up        "y" or "z"
     unit:  what lengths are given in
+    origin: what was taken off all places   (3,)
     bounds: low and high corner of all frames
     outline: places that the camera is to see: the utmost and some of the others     (N, 3)
 
@@ -76,6 +77,7 @@ class Content:
     names: tuple[str, ...]
     up: str = "y"
     unit: str = "input units"
+    origin: np.ndarray | None = None
     bounds: tuple[np.ndarray, np.ndarray] = field(init=False)
     outline: np.ndarray = field(init=False)
 
@@ -170,7 +172,7 @@ def load_content(
         if points is not None:
             panes.insert(0, Pane("input", clouds=points))
     names = tuple(run.names[t] for t in chosen)
-    return Content(panes, names, up, unit)
+    return Content(panes, names, up, unit, origin)
 
 
 def _without_strays(points: np.ndarray) -> np.ndarray:

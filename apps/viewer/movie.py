@@ -41,7 +41,7 @@ def check_outputs(screenshot: Path | None, movie: Path | None, html: Path | None
 
 
 def save_picture(picture: np.ndarray, path: Path) -> None:
-    """Write (height, width, 3) uint8; the file appears at once or not at all."""
+    """Write (height, width, 3) uint8, or 4 with the opacity as .png; the file appears at once or not at all."""
     from PIL import Image
 
     from warpdef.files.disk import replacing

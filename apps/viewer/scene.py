@@ -9,8 +9,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from warpdef.apps.viewer.actors import CloudActor, Look, SurfaceActor
+from warpdef.apps.viewer.bars import BAR, SCALE_BAR, ColorBar, ScaleBar
 from warpdef.apps.viewer.camera import VIEW_ANGLE, Room, Stand, fit_camera, pixels_per_length, seen_aspect
-from warpdef.apps.viewer.captions import BAR, Captions, ColorBar, room_for, tile_letter_size
+from warpdef.apps.viewer.captions import Captions, room_for, tile_letter_size
 from warpdef.apps.viewer.flat import TEXT_COLOR
 from warpdef.apps.viewer.scales import Scales
 
@@ -67,6 +68,8 @@ class Scene:
             self.plotter.link_views()
         self.place_camera()
         self.show(0)
+        # The mouse turns the camera without asking anybody here.
+        self.plotter.renderers[0].AddObserver("StartEvent", lambda *_: self._write_scale())
 
     def place_camera(self, turn: float = 0.0, all_round: bool = False) -> None:
         """Stand where the whole motion is seen, ``turn`` degrees about the up axis from the usual place."""
@@ -90,13 +93,14 @@ class Scene:
             renderer.ResetCameraClippingRange()
         for cloud in self.clouds:
             if cloud is not None:
-                cloud.size_points(pixels_per_length(placed, height))
+                cloud.size_points(pixels_per_length(placed.distance, height))
 
     def room(self, height: int) -> Room:
         """What is left for the motion in a picture of that height; in a window the bar's place is always kept."""
         if self.tile:
             return room_for(height, tile=True)
-        return room_for(height, bar=self._window or self.look.color in self.content.measures, slider=self._window)
+        bar = self._window or self.look.color in self.content.measures
+        return room_for(height, bar=bar, scale_bar=self.look.scale_bar, slider=self._window)
 
     def show(self, frame: int) -> None:
         """Move everything to a frame; nothing is rendered yet."""
@@ -107,11 +111,25 @@ class Scene:
             if cloud is not None:
                 cloud.show(frame, self.look, surface)
         self._show_trails()
+        self._write()
+
+    def _write(self) -> None:
+        """Titles and bars, as large as the window is now."""
         size = tuple(self.plotter.window_size)
         if self.tile:
-            self.captions.put_on_tile(self.content, frame, size)
+            self.captions.put_on_tile(self.content, self.frame, size)
         else:
-            self.captions.put(self.content, self.scales, self.look.color, frame, size, slider=self._window)
+            self.captions.put(self.content, self.scales, self.look.color, self.frame, size, slider=self._window)
+        self._write_scale()
+
+    def _write_scale(self) -> None:
+        """The scale bar, for where the camera stands now."""
+        if not self.look.scale_bar or self.tile:
+            self.captions.scale_bar.hide()
+            return
+        width, height = self.plotter.window_size
+        pixels = pixels_per_length(self.plotter.renderers[0].camera.distance, height)
+        self.captions.put_scale(self.content, self.look.color, pixels, (width, height), slider=self._window)
 
     def refresh(self) -> None:
         """Show the present frame again, after the look was changed."""
@@ -146,40 +164,45 @@ class Scene:
             )
 
     def picture(self) -> np.ndarray:
-        """What is seen, shape (height, width, 3) uint8."""
+        """What is seen, shape (height, width, 3) uint8; with a fourth channel, the opacity, in a transparent look."""
         for renderer in self.plotter.renderers:
             renderer.ResetCameraClippingRange()
         assert self.plotter.render_window is not None  # it has one until it is closed
         self.plotter.render_window.Render()
-        picture = self.plotter.screenshot(return_img=True)
-        assert picture is not None  # None is the answer where no picture was asked for
-        return picture
+        return self._taken(self.plotter)
 
     def seen_aspect(self, height: int) -> float:
         """Width over height of the narrowest pane that shows the motion as large as a wide one of that height does."""
         return seen_aspect(self.content.outline, self.content.up, self.stand, self.room(height))
 
-    def bar_alone(self, frames: list[int], width: int, tile_height: int) -> np.ndarray:
-        """The colour bar as a picture of that width, as high as it needs to be, for some frames that are seen."""
+    def foot(self, frames: list[int], width: int, tile_height: int) -> np.ndarray | None:
+        """The bars below some frames as a picture of that width, as high as they need; None without any."""
         import pyvista
 
+        colored = self.look.color in self.content.measures
+        if not colored and not self.look.scale_bar:
+            return None
         letters = tile_letter_size(tile_height)
-        height = math.ceil((BAR + 0.5) * letters)
-        plotter: Any = pyvista.Plotter(off_screen=True, window_size=[width, height])
+        lines = 1.0 + (BAR if colored else 0.0) + (SCALE_BAR if self.look.scale_bar else 0.0)
+        size = width, math.ceil(lines * letters)
+        plotter: Any = pyvista.Plotter(off_screen=True, window_size=list(size))
         try:
             plotter.set_background("white")
-            bar = ColorBar(plotter.renderer)
-            bar.put(self.scales, self.look.color, self.content.unit, frames, (width, height), letters, 0.3 * letters)
-            return plotter.screenshot(return_img=True)
+            if colored:
+                bar = ColorBar(plotter.renderer)
+                bar.put(self.scales, self.look.color, self.content.unit, frames, size, letters, 0.5 * letters)
+            if self.look.scale_bar:
+                pixels = pixels_per_length(self.plotter.renderers[0].camera.distance, tile_height)
+                scale_bar = ScaleBar(plotter.renderer)
+                scale_bar.put(pixels, self.content.unit, size, letters, (lines - SCALE_BAR) * letters, 0.2 * width)
+            return self._taken(plotter)
         finally:
             plotter.close()
 
-    @property
-    def blank(self) -> np.ndarray:
-        """A pixel of the background."""
-        import numpy as np
-
-        return np.full(3, 255, dtype=np.uint8)
+    def _taken(self, plotter: Any) -> np.ndarray:
+        picture = plotter.screenshot(return_img=True, transparent_background=self.look.transparent)
+        assert picture is not None  # None is the answer where no picture was asked for
+        return without_white(picture) if self.look.transparent else picture
 
     def close(self) -> None:
         """Give the render window back."""
@@ -213,3 +236,12 @@ class Scene:
                 )
             if self.trails[index] is not None:
                 self.trails[index].visibility = self.look.trajectories
+
+
+def without_white(picture: np.ndarray) -> np.ndarray:
+    """A picture drawn on white, (H, W, 4) uint8, with the white taken out of its edges, which would shine on black."""
+    import numpy as np
+
+    share = picture[..., 3:] / 255.0
+    own = (picture[..., :3] - 255.0 * (1.0 - share)) / np.maximum(share, 1e-6)
+    return np.concatenate([np.rint(own.clip(0.0, 255.0)).astype(np.uint8), picture[..., 3:]], axis=2)

@@ -30,13 +30,12 @@ def contact_sheet(scene: Scene, count: int, size: tuple[int, int]) -> np.ndarray
         pictures.append(scene.picture())
     height, width, _ = pictures[0].shape
     columns = sheet_columns(len(pictures), width / height)
-    blank = np.broadcast_to(scene.blank, pictures[0].shape)
+    blank = np.full_like(pictures[0], 0 if scene.look.transparent else 255)
     rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
     rows[-1] = rows[-1] + [blank] * (columns - len(rows[-1]))
     sheet = np.concatenate([np.concatenate(row, axis=1) for row in rows])
-    if scene.look.color in content.measures:
-        sheet = np.concatenate([sheet, scene.bar_alone(frames, sheet.shape[1], height)])
-    return sheet
+    foot = scene.foot(frames, sheet.shape[1], height)
+    return sheet if foot is None else np.concatenate([sheet, foot])
 
 
 def sheet_frames(total: int, count: int) -> list[int]:
