@@ -36,6 +36,17 @@ def recording() -> Iterator[list[wp.Launch]]:
         _state.commands = outer
 
 
+@contextmanager
+def listing() -> Iterator[list[wp.Kernel]]:
+    """Collect the kernels that the block would launch; nothing runs, and nothing is compiled."""
+    outer = getattr(_state, "kernels", None)
+    _state.kernels = []
+    try:
+        yield _state.kernels
+    finally:
+        _state.kernels = outer
+
+
 def launch(
     kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any], device: wp.Device, lanes: int = 0
 ) -> None:
@@ -49,6 +60,10 @@ def launch(
     """
     check(kernel, dim, inputs, device)
     if dim == 0:
+        return
+    kernels = getattr(_state, "kernels", None)
+    if kernels is not None:
+        kernels.append(kernel)
         return
     over: dict[str, Any] = {"dim": dim * lanes, "block_dim": lanes} if isinstance(dim, int) and lanes else {"dim": dim}
     commands = getattr(_state, "commands", None)

@@ -8,8 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import warp as wp
 from present import present
 
+from warpdef.apps.benchmark import timing
 from warpdef.apps.benchmark.bed import difference
 from warpdef.apps.benchmark.compare import SCHEMA, compare_reports, read_report
 from warpdef.apps.benchmark.data import Source, Work, load_source, make_work
@@ -53,6 +55,21 @@ def test_short_calls_are_timed_several_at_a_time() -> None:
     assert clock.calls[:2] == [1, 1]  # warm-up
     assert set(clock.calls[2:]) == {50}
     assert timing.count == 7
+
+
+def test_a_device_is_timed_on_its_own_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not on the default device's, where an event of another device is an error."""
+    noted: list[tuple] = []
+    stream = SimpleNamespace(record_event=lambda event: noted.append(("at", event)))
+    monkeypatch.setattr(timing, "is_cuda", lambda device: True)
+    monkeypatch.setattr(wp, "Event", lambda device, enable_timing: (device, len(noted)))
+    monkeypatch.setattr(wp, "get_stream", lambda device: noted.append(("of", device)) or stream)
+    monkeypatch.setattr(wp, "synchronize_event", lambda event: None)
+    monkeypatch.setattr(wp, "get_event_elapsed_time", lambda start, end: 3.0)
+    clock = timing.DeviceTimer("cuda:1")  # pyright: ignore[reportArgumentType] - all that is asked of it
+    assert clock.seconds(lambda: noted.append(("run",)), 2) == 3e-3
+    event = ("at", ("cuda:1", 0))
+    assert noted == [("of", "cuda:1"), event, ("run",), ("run",), event]
 
 
 def test_preparation_is_outside_the_timed_part() -> None:

@@ -6,6 +6,7 @@ import ctypes
 import logging
 import os
 import re
+from collections.abc import Iterable
 from typing import cast
 
 import numpy as np
@@ -141,6 +142,18 @@ def usable_cores() -> int:
 def is_cuda(device: wp.Device) -> bool:
     """Whether it has memory, a clock and graphs of its own. Which way to go on it says ``way_of``, not this."""
     return device.is_cuda
+
+
+def load_kernels(kernels: Iterable[wp.Kernel], device: wp.Device) -> None:
+    """Compile for a CUDA device the modules of these kernels, and load them: on all cores, as a compiler takes one.
+
+    For the CPU nothing is done before a kernel is recorded: there every thread of the compiler would read Warp's headers
+    anew, which is most of the work (7.2 against 4.0 s of processor time for the modules of a run on two threads; for
+    CUDA it is 6.1 against 5.6 s).
+    """
+    modules = list({id(kernel.module): kernel.module for kernel in kernels}.values())
+    if modules and is_cuda(device):
+        wp.force_load(device, modules, max_workers=min(len(modules), usable_cores()))
 
 
 def team_size(device: wp.Device, threads: int | None = None) -> int:

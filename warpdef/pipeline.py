@@ -17,7 +17,7 @@ import warp as wp
 
 import warpdef
 from warpdef.config import Config
-from warpdef.device import device_warnings, team_size
+from warpdef.device import device_warnings, load_kernels, team_size
 from warpdef.errors import MissingPackageError
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
@@ -102,10 +102,11 @@ def reconstruct(
                 steady = replace(config, optimiser=config.optimiser.for_length(len(clouds)))
                 problem = Problem(clouds, normals, mesh.vertices, mesh.faces, keyframe, steady, target, given)
                 optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
-                optimiser.prepare()
                 refinement = Refinement(optimiser.objective, team) if config.refine.iterations else None
-                if refinement is not None:
-                    refinement.prepare()
+                stages = [stage for stage in (optimiser, refinement) if stage is not None]
+                load_kernels([kernel for stage in stages for kernel in stage.kernels()], target)
+                for stage in stages:
+                    stage.prepare()
             with held_interrupts() as interruption:
                 resumed = [*saved.facts["resumed"], saved.iteration] if saved is not None else []
                 facts = lasting_facts(sequence, config, chosen, safeguards.notes, resumed)

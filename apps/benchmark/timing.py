@@ -60,10 +60,12 @@ class DeviceTimer:
     def seconds(self, run: Callable[[], object], count: int = 1) -> float:
         """Seconds of ``count`` calls together."""
         if is_cuda(self.device):
-            wp.record_event(self._start)
+            # Not the default device's stream, which this need not be.
+            stream = wp.get_stream(self.device)
+            stream.record_event(self._start)
             for _ in range(count):
                 run()
-            wp.record_event(self._end)
+            stream.record_event(self._end)
             wp.synchronize_event(self._end)
             return 1e-3 * wp.get_event_elapsed_time(self._start, self._end)
         start = time.perf_counter()

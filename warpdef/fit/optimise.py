@@ -11,13 +11,14 @@ from functools import partial
 import numpy as np
 import warp as wp
 
-from warpdef.device import Way, frame_of
+from warpdef.device import Way, frame_of, load_kernels
 from warpdef.fit.objective import Objective
 from warpdef.fit.parameters import Parameters
 from warpdef.fit.problem import Problem
 from warpdef.fit.sobolev import Solver, SolveReport, grid_solver, solver_name, template_solvers
 from warpdef.fit.workers import Iteration, Phase, Task, Team
 from warpdef.kernels.finite import flag_not_finite
+from warpdef.kernels.launching import listing
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import template_gradient
 from warpdef.kernels.schedule import SCHEDULE_SIZE, advance
@@ -65,14 +66,19 @@ class Optimiser:
         self._warmup = Iteration(self._phases(warmup=True), device, team, capture)
         self._full = Iteration(self._phases(warmup=False), device, team, capture)
 
+    def kernels(self) -> list[wp.Kernel]:
+        """All that iterations, looks and ``finish`` launch."""
+        with listing() as last:
+            self.finish()
+        return [*last, *(kernel for i in (self._check, self._warmup, self._full) for kernel in i.kernels())]
+
     def prepare(self) -> None:
         """Compile every kernel, so that the first iteration costs what the others do."""
+        load_kernels(self.kernels(), self.problem.device)
         self.finite()
         if self.problem.way is Way.SPANS:
             self._warmup.prepare()
             self._full.prepare()
-        else:
-            wp.load_module("warpdef.kernels", device=self.problem.device, recursive=True)
 
     @property
     def nodes(self) -> wp.array:

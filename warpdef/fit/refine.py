@@ -23,7 +23,7 @@ from functools import partial
 import numpy as np
 import warp as wp
 
-from warpdef.device import Way, frame_of
+from warpdef.device import Way, frame_of, load_kernels
 from warpdef.fit.objective import Objective
 from warpdef.fit.pairing import Pairing, noise_of
 from warpdef.fit.recover import Cloud, recover
@@ -32,6 +32,7 @@ from warpdef.fit.sobolev import SolveReport, note_solve
 from warpdef.fit.unseen import Unseen
 from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.block_cg import BlockSolver
+from warpdef.kernels.launching import listing
 from warpdef.kernels.rigidity import fit_rotations, rigid_rhs
 from warpdef.kernels.vectors import add_scaled
 
@@ -68,8 +69,16 @@ class Refinement:
         self._fate = p.integers(np.zeros(p.frame_count))
         self._round = Iteration(self._phases(), device, team, capture)
 
+    def kernels(self) -> list[wp.Kernel]:
+        """All that rounds, and frames settled alone, launch."""
+        with listing() as alone:
+            self.shape.take()
+            self.objective.chain.move_one(0, 0, self.problem.vertex_count)
+        return [*alone, *self._round.kernels()]
+
     def prepare(self) -> None:
-        """CPU: record all commands, which compiles what they need."""
+        """Compile every kernel; on the CPU, record all commands."""
+        load_kernels(self.kernels(), self.problem.device)
         if self.problem.way is Way.SPANS:
             self._round.prepare()
 

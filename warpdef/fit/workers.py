@@ -16,7 +16,7 @@ from typing import Protocol
 import warp as wp
 
 from warpdef.device import Way, is_cuda, way_of
-from warpdef.kernels.launching import recording
+from warpdef.kernels.launching import listing, recording
 
 Task = Callable[[], None]
 
@@ -112,6 +112,14 @@ class Iteration:
         self._whole = way_of(device) is Way.WHOLE
         self._capture = capture and is_cuda(device) and not any(p.direct for p in phases)
         self._warm = False
+
+    def kernels(self) -> list[wp.Kernel]:
+        """Those that it launches, but for phases that run as they are."""
+        with listing() as found:
+            for phase in self._phases:
+                for task in () if phase.direct else phase.tasks:
+                    task()
+        return found
 
     def prepare(self) -> list[list[list[wp.Launch]] | None]:
         """Where work goes in spans: record all commands, which compiles what they need."""
