@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 import pytest
 import warp as wp
 
-from warpdef.device import usable_cores
+from warpdef import device as device_module
+from warpdef.device import Way, device_warnings, going, usable_cores
+from warpdef.fit import workers
 from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.levels import node8
 from warpdef.kernels.schedule import advance
@@ -148,6 +151,62 @@ def test_a_captured_graph_does_what_plain_launches_do() -> None:
             iteration.run()
         found.append((int(step.numpy()[0]), schedule.numpy().tolist()))
     assert found[0] == found[1] and found[0][0] == 5
+
+
+def advanced(runs: int, before: Callable[[], None] = lambda: None) -> tuple[int, int]:
+    """Steps counted by a kernel after so many runs of an iteration the CUDA way, and how often its task was called."""
+    step, called = wp.zeros(1, dtype=wp.int32, device="cpu"), []
+    schedule = wp.zeros(4, dtype=wp.float32, device="cpu")
+
+    def task() -> None:
+        called.append(1)
+        before()
+        advance(10, True, 0.9, 0.999, step, schedule)
+
+    with going(Way.WHOLE):
+        iteration = Iteration([Phase("advance", [task])], wp.get_device("cpu"), Team(1))
+        for _ in range(runs):
+            iteration.run()
+    return int(step.numpy()[0]), len(called)
+
+
+def test_an_iteration_is_captured_once_and_replayed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the CPU, whose launches Warp captures as well."""
+    monkeypatch.setattr(workers, "is_cuda", lambda device: True)
+    assert advanced(5) == (5, 2)
+
+
+@pytest.mark.parametrize("where", ["begin", "end", "inside"])
+def test_without_graphs_launches_go_one_by_one(where: str, monkeypatch, caplog: pytest.LogCaptureFixture) -> None:
+    """A device that cannot capture, or not this: the same steps, said once, and not tried at every iteration."""
+    monkeypatch.setattr(workers, "is_cuda", lambda device: True)
+    monkeypatch.setattr(device_module, "_told", [])
+    tried, capturing = [], []
+
+    class NoCapture:
+        def __init__(self, device: wp.Device) -> None:
+            tried.append(device)
+
+        def __enter__(self) -> None:
+            if where == "begin":
+                raise RuntimeError("no memory\n pool")
+            capturing.append(1)
+
+        def __exit__(self, kind: type | None, *_) -> None:
+            capturing.clear()
+            if where == "end" and kind is None:
+                raise RuntimeError("no memory pool")
+
+    def refuse() -> None:
+        if capturing and where == "inside":
+            raise RuntimeError("no memory pool")
+
+    monkeypatch.setattr(wp, "ScopedCapture", NoCapture)
+    steps, _ = advanced(4, refuse)
+    # The fake does not keep launches from running while it captures.
+    assert steps == 4 + (where == "end") and len(tried) == 1
+    (warning,) = device_warnings()
+    assert "no memory pool" in warning and warning in caplog.text
 
 
 def test_there_is_a_core() -> None:

@@ -72,7 +72,7 @@ def find_device(name: str) -> wp.Device:
     devices = [alias for alias in there if alias != "cpu"]
     if name == "auto":
         if not devices and _has_driver():
-            _tell_once(f"--device auto takes the CPU: {why_no_cuda()}")
+            tell_once(f"--device auto takes the CPU: {why_no_cuda()}")
         return wp.get_device(devices[0] if devices else "cpu")
     wanted = "cuda:0" if name == "cuda" else name
     if wanted in there:
@@ -113,7 +113,8 @@ def _hidden() -> str:
     return "" if visible is None else f" (CUDA_VISIBLE_DEVICES is {visible!r})"
 
 
-def _tell_once(message: str) -> None:
+def tell_once(message: str) -> None:
+    """To the logger ``warpdef``, and to whoever asks for ``device_warnings``."""
     if message not in _told:
         _told.append(message)
         logging.getLogger("warpdef").warning("warpdef: warning: %s", message)
@@ -147,9 +148,9 @@ def is_cuda(device: wp.Device) -> bool:
 def load_kernels(kernels: Iterable[wp.Kernel], device: wp.Device) -> None:
     """Compile for a CUDA device the modules of these kernels, and load them: on all cores, as a compiler takes one.
 
-    For the CPU nothing is done before a kernel is recorded: there every thread of the compiler would read Warp's headers
-    anew, which is most of the work (7.2 against 4.0 s of processor time for the modules of a run on two threads; for
-    CUDA it is 6.1 against 5.6 s).
+    For the CPU nothing is done before a kernel is recorded: there every thread of the compiler would read Warp's
+    headers anew, which is most of the work (7.2 against 4.0 s of processor time for the modules of a run on two
+    threads; for CUDA it is 6.1 against 5.6 s).
     """
     modules = list({id(kernel.module): kernel.module for kernel in kernels}.values())
     if modules and is_cuda(device):

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import warp as wp
 
-from warpdef.device import Way, is_cuda, way_of
+from warpdef.device import Way, is_cuda, tell_once, way_of
 from warpdef.kernels.launching import listing, recording
 
 Task = Callable[[], None]
@@ -141,21 +141,33 @@ class Iteration:
 
     def _run_whole(self) -> None:
         # The first run is plain: modules load and scratch memory is allocated, neither of which can be captured.
-        if not self._capture or not self._warm:
-            for phase in self._phases:
-                for task in phase.tasks:
-                    task()
-            self._warm = True
+        if self._capture and self._warm and self._graph is None:
+            self._graph = self._captured()
+            self._capture = self._graph is not None
+        if self._graph is not None:
+            wp.capture_launch(self._graph)
             return
-        graph = self._graph
-        if graph is None:
+        self._run_plain()
+        self._warm = True
+
+    def _run_plain(self) -> None:
+        for phase in self._phases:
+            for task in phase.tasks:
+                task()
+
+    def _captured(self) -> wp.Graph | None:
+        """All phases as one graph; None where the device cannot, which is said: launches then go one by one."""
+        try:
             with wp.ScopedCapture(device=self._device) as captured:
-                for phase in self._phases:
-                    for task in phase.tasks:
-                        task()
-            graph = self._graph = captured.graph
-            assert graph is not None
-        wp.capture_launch(graph)
+                self._run_plain()
+        except RuntimeError as error:  # of Warp, or of CUDA by way of it
+            why = " ".join(str(error).split())
+            tell_once(
+                f"iterations on {self._device.alias} are not captured as graphs ({why:.200}): every kernel is launched "
+                "by itself, which gives the same result but takes longer"
+            )
+            return None
+        return captured.graph
 
 
 def _record(phase: Phase) -> list[list[wp.Launch]]:
