@@ -12,7 +12,7 @@ from cyclopts.validators import Number
 from warpdef.apps.console import clean_stdout, say
 from warpdef.apps.exit_codes import EXIT_OK
 from warpdef.apps.export import report_places
-from warpdef.config import parse_slice
+from warpdef.config_values import parse_slice
 
 if TYPE_CHECKING:
     import numpy as np

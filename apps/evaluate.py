@@ -12,7 +12,7 @@ from warpdef.apps.console import ProgressDisplay, clean_stdout, print_json
 from warpdef.apps.exit_codes import EXIT_OK
 from warpdef.apps.metric_tables import print_frames, print_means
 from warpdef.apps.quality_tables import print_quality
-from warpdef.config import parse_slice
+from warpdef.config_values import parse_slice
 from warpdef.errors import InputError
 
 if TYPE_CHECKING:

@@ -17,7 +17,8 @@ from warpdef.apps.console import ProgressDisplay, Stopwatch, clean_stdout, print
 from warpdef.apps.exit_codes import EXIT_LOST, EXIT_OK
 from warpdef.apps.run_summary import print_summary
 from warpdef.apps.signals import exit_code, interruption
-from warpdef.config import Config, parse_slice
+from warpdef.config import Config
+from warpdef.config_values import parse_slice
 from warpdef.errors import InputError, WarpdefError
 from warpdef.progress import held_interrupts
 from warpdef.quality.verdict import LOST

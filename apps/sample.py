@@ -10,7 +10,7 @@ from cyclopts.validators import Number
 
 from warpdef.apps.console import clean_stdout
 from warpdef.apps.exit_codes import EXIT_OK
-from warpdef.config import parse_slice
+from warpdef.config_values import parse_slice
 from warpdef.errors import InputError
 
 

@@ -14,7 +14,7 @@ from cyclopts.validators import Number
 from warpdef.apps.console import clean_stdout, say
 from warpdef.apps.exit_codes import EXIT_OK
 from warpdef.apps.viewer.movie import check_outputs
-from warpdef.config import parse_slice
+from warpdef.config_values import parse_slice
 from warpdef.errors import InputError
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
 
 import pytest
 
-from warpdef.config import Config, OptimiserConfig, parse_slice
+from warpdef.config import Config, OptimiserConfig
+from warpdef.config_values import parse_slice
 from warpdef.errors import ConfigError
 from warpdef.files.config_file import config_from_mapping
 from warpdef.presets import PRESETS, preset

@@ -25,6 +25,7 @@ MAIN = "warpdef.__main__"
 
 FLOORS_INSIDE = (
     ("errors", "kernel_cache"),
+    ("config_values",),
     ("cloud", "config", "device", "geometry", "texture", "transitions"),
     ("appearance", "memory", "presets", "sequence"),
     ("cleaning", "mesh", "shortage"),

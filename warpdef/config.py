@@ -14,34 +14,14 @@ the ``default`` preset; for others see ``presets``.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
-from warpdef.errors import ConfigError
+from warpdef.config_values import parse_box, parse_slice, require, require_sane
 
 BASE_FRAMES = 17
 """Length of the paper's sequences, up to which iterations and rates are as configured."""
 WARMUP_SHARE = 2 / 3
 """Of all iterations: at most so many are warm-up in a longer sequence."""
-
-COUNT_MOST = 10**7
-NUMBER_LEAST, NUMBER_MOST = 1e-30, 1e9
-_MOST = {"points": 10**9, "seed": 2**63 - 1}
-
-
-def _require(ok: bool, key: str, expected: str, got: object) -> None:
-    if not ok:
-        raise ConfigError(f"configuration: {key}: expected {expected}, got {got!r:.60}")
-
-
-def _require_sane(group: Any, prefix: str = "") -> None:
-    """Refuse numbers that no run could hold or that single precision cannot say, whatever their own bounds."""
-    for name, value in vars(group).items():
-        if type(value) is int:
-            most = _MOST.get(name, COUNT_MOST)
-            _require(abs(value) <= most, prefix + name, f"at most {most}", value)
-        elif type(value) is float:
-            ok = value == 0 or NUMBER_LEAST <= abs(value) <= NUMBER_MOST
-            _require(ok, prefix + name, f"0 or from {NUMBER_LEAST:g} to {NUMBER_MOST:g}", value)
 
 
 @dataclass(frozen=True)
@@ -61,11 +41,11 @@ class KeyframeConfig:
     def __post_init__(self) -> None:
         named = self.choice in ("auto", "first", "middle")
         known = named or (self.choice.isdecimal() and len(self.choice) < 10)
-        _require(known, "keyframe.choice", "auto, first, middle or an index from 0", self.choice)
-        _require(1 <= self.voxels <= 1024, "keyframe.voxels", "1 to 1024", self.voxels)
-        _require(self.gamma >= 0, "keyframe.gamma", "a number from 0", self.gamma)
-        _require(0 <= self.coverage_min <= 1, "keyframe.coverage_min", "0 to 1", self.coverage_min)
-        _require_sane(self, "keyframe.")
+        require(known, "keyframe.choice", "auto, first, middle or an index from 0", self.choice)
+        require(1 <= self.voxels <= 1024, "keyframe.voxels", "1 to 1024", self.voxels)
+        require(self.gamma >= 0, "keyframe.gamma", "a number from 0", self.gamma)
+        require(0 <= self.coverage_min <= 1, "keyframe.coverage_min", "0 to 1", self.coverage_min)
+        require_sane(self, "keyframe.")
 
 
 @dataclass(frozen=True)
@@ -103,19 +83,19 @@ class TemplateConfig:
 
     def __post_init__(self) -> None:
         known = self.backend in ("auto", "gpytoolbox", "pymeshlab")
-        _require(known, "template.backend", "auto, gpytoolbox or pymeshlab", self.backend)
-        _require(self.method in ("poisson", "tetrahedra"), "template.method", "poisson or tetrahedra", self.method)
-        _require(self.surface in ("auto", "closed", "open"), "template.surface", "auto, closed or open", self.surface)
-        _require(self.depth == 0 or 3 <= self.depth <= 14, "template.depth", "0 (by spacing) or 3 to 14", self.depth)
-        _require(self.screening >= 0, "template.screening", "a number from 0", self.screening)
-        _require(self.faces_max >= 20, "template.faces_max", "at least 20", self.faces_max)
-        _require(self.faces_per_point > 0, "template.faces_per_point", "a number above 0", self.faces_per_point)
-        _require(self.neighbours >= 4, "template.neighbours", "at least 4", self.neighbours)
-        _require(self.far_spacings > 0, "template.far_spacings", "a number above 0", self.far_spacings)
-        _require(0 <= self.far_share_max <= 1, "template.far_share_max", "0 to 1", self.far_share_max)
-        _require(0 <= self.missed_share_max <= 1, "template.missed_share_max", "0 to 1", self.missed_share_max)
-        _require(self.attempts >= 1, "template.attempts", "at least 1", self.attempts)
-        _require_sane(self, "template.")
+        require(known, "template.backend", "auto, gpytoolbox or pymeshlab", self.backend)
+        require(self.method in ("poisson", "tetrahedra"), "template.method", "poisson or tetrahedra", self.method)
+        require(self.surface in ("auto", "closed", "open"), "template.surface", "auto, closed or open", self.surface)
+        require(self.depth == 0 or 3 <= self.depth <= 14, "template.depth", "0 (by spacing) or 3 to 14", self.depth)
+        require(self.screening >= 0, "template.screening", "a number from 0", self.screening)
+        require(self.faces_max >= 20, "template.faces_max", "at least 20", self.faces_max)
+        require(self.faces_per_point > 0, "template.faces_per_point", "a number above 0", self.faces_per_point)
+        require(self.neighbours >= 4, "template.neighbours", "at least 4", self.neighbours)
+        require(self.far_spacings > 0, "template.far_spacings", "a number above 0", self.far_spacings)
+        require(0 <= self.far_share_max <= 1, "template.far_share_max", "0 to 1", self.far_share_max)
+        require(0 <= self.missed_share_max <= 1, "template.missed_share_max", "0 to 1", self.missed_share_max)
+        require(self.attempts >= 1, "template.attempts", "at least 1", self.attempts)
+        require_sane(self, "template.")
 
 
 @dataclass(frozen=True)
@@ -132,10 +112,10 @@ class GridConfig:
     """Nodes within this many cells of an occupied one are kept."""
 
     def __post_init__(self) -> None:
-        _require(1 <= self.levels <= 16, "grid.levels", "1 to 16", self.levels)
-        _require(1 <= self.coarsest <= self.levels, "grid.coarsest", f"1 to grid.levels ({self.levels})", self.coarsest)
-        _require(self.prune_cells >= 0, "grid.prune_cells", "0 or more", self.prune_cells)
-        _require_sane(self, "grid.")
+        require(1 <= self.levels <= 16, "grid.levels", "1 to 16", self.levels)
+        require(1 <= self.coarsest <= self.levels, "grid.coarsest", f"1 to grid.levels ({self.levels})", self.coarsest)
+        require(self.prune_cells >= 0, "grid.prune_cells", "0 or more", self.prune_cells)
+        require_sane(self, "grid.")
 
 
 @dataclass(frozen=True)
@@ -160,21 +140,21 @@ class SobolevConfig:
     """Conjugate-gradient iterations after which a solve is reported as not converged."""
 
     def __post_init__(self) -> None:
-        _require(self.lambda_base >= 0, "sobolev.lambda_base", "a number from 0", self.lambda_base)
-        _require(self.lambda_growth > 0, "sobolev.lambda_growth", "a number above 0", self.lambda_growth)
-        _require(self.lambda_template >= 0, "sobolev.lambda_template", "a number from 0", self.lambda_template)
-        _require(
+        require(self.lambda_base >= 0, "sobolev.lambda_base", "a number from 0", self.lambda_base)
+        require(self.lambda_growth > 0, "sobolev.lambda_growth", "a number above 0", self.lambda_growth)
+        require(self.lambda_template >= 0, "sobolev.lambda_template", "a number from 0", self.lambda_template)
+        require(
             self.unpreconditioned_rate > 0,
             "sobolev.unpreconditioned_rate",
             "a number above 0",
             self.unpreconditioned_rate,
         )
-        _require(
+        require(
             self.solver in ("auto", "cosine", "cg", "warp"), "sobolev.solver", "auto, cosine, cg or warp", self.solver
         )
-        _require(0 < self.tolerance < 1, "sobolev.tolerance", "between 0 and 1", self.tolerance)
-        _require(self.iterations_max >= 1, "sobolev.iterations_max", "at least 1", self.iterations_max)
-        _require_sane(self, "sobolev.")
+        require(0 < self.tolerance < 1, "sobolev.tolerance", "between 0 and 1", self.tolerance)
+        require(self.iterations_max >= 1, "sobolev.iterations_max", "at least 1", self.iterations_max)
+        require_sane(self, "sobolev.")
 
 
 @dataclass(frozen=True)
@@ -205,15 +185,13 @@ class LossConfig:
     """True lets every frame move the template; False lets only the mesh term do so."""
 
     def __post_init__(self) -> None:
-        _require(self.reduction in ("sum", "mean"), "loss.reduction", "sum or mean", self.reduction)
+        require(self.reduction in ("sum", "mean"), "loss.reduction", "sum or mean", self.reduction)
         for key in ("mesh_weight", "input_weight", "transform_weight", "isometry_weight", "robust_alpha"):
-            _require(getattr(self, key) >= 0, f"loss.{key}", "a number from 0", getattr(self, key))
-        _require(self.robust_power in (2, 4), "loss.robust_power", "2 or 4", self.robust_power)
-        _require(0 <= self.tangential <= 1, "loss.tangential", "0 to 1", self.tangential)
-        _require(
-            self.confidence_bound in ("max", "mean"), "loss.confidence_bound", "max or mean", self.confidence_bound
-        )
-        _require_sane(self, "loss.")
+            require(getattr(self, key) >= 0, f"loss.{key}", "a number from 0", getattr(self, key))
+        require(self.robust_power in (2, 4), "loss.robust_power", "2 or 4", self.robust_power)
+        require(0 <= self.tangential <= 1, "loss.tangential", "0 to 1", self.tangential)
+        require(self.confidence_bound in ("max", "mean"), "loss.confidence_bound", "max or mean", self.confidence_bound)
+        require_sane(self, "loss.")
 
 
 @dataclass(frozen=True)
@@ -250,23 +228,23 @@ class OptimiserConfig:
     """Adam's guard against division by zero."""
 
     def __post_init__(self) -> None:
-        _require(self.points >= 0, "optimiser.points", "0 (all) or more", self.points)
-        _require(self.iterations >= 1, "optimiser.iterations", "at least 1", self.iterations)
-        _require(
+        require(self.points >= 0, "optimiser.points", "0 (all) or more", self.points)
+        require(self.iterations >= 1, "optimiser.iterations", "at least 1", self.iterations)
+        require(
             self.iterations_per_frame >= 0,
             "optimiser.iterations_per_frame",
             "a number from 0",
             self.iterations_per_frame,
         )
-        _require(self.warmup >= 0, "optimiser.warmup", "0 or more", self.warmup)
+        require(self.warmup >= 0, "optimiser.warmup", "0 or more", self.warmup)
         for key in ("rate", "rate_growth", "epsilon"):
-            _require(getattr(self, key) > 0, f"optimiser.{key}", "a number above 0", getattr(self, key))
-        _require(0 <= self.rate_fall <= 1, "optimiser.rate_fall", "0 to 1", self.rate_fall)
-        _require(self.template_rate >= 0, "optimiser.template_rate", "a number from 0", self.template_rate)
-        _require(self.decay in ("constant", "cosine"), "optimiser.decay", "constant or cosine", self.decay)
+            require(getattr(self, key) > 0, f"optimiser.{key}", "a number above 0", getattr(self, key))
+        require(0 <= self.rate_fall <= 1, "optimiser.rate_fall", "0 to 1", self.rate_fall)
+        require(self.template_rate >= 0, "optimiser.template_rate", "a number from 0", self.template_rate)
+        require(self.decay in ("constant", "cosine"), "optimiser.decay", "constant or cosine", self.decay)
         for key in ("beta1", "beta2"):
-            _require(0 <= getattr(self, key) < 1, f"optimiser.{key}", "from 0 to below 1", getattr(self, key))
-        _require_sane(self, "optimiser.")
+            require(0 <= getattr(self, key) < 1, f"optimiser.{key}", "from 0 to below 1", getattr(self, key))
+        require_sane(self, "optimiser.")
 
     def for_length(self, frame_count: int) -> OptimiserConfig:
         """The same with the rate and the warm-up of ``frame_count`` frames; without a chain no number depends on it."""
@@ -315,17 +293,17 @@ class RefineConfig:
     """Fit frames that lost a limb again, from their neighbour, by matches of one connected part."""
 
     def __post_init__(self) -> None:
-        _require(self.iterations >= 0, "refine.iterations", "0 or more", self.iterations)
-        _require(self.follow >= 0, "refine.follow", "0 or more", self.follow)
+        require(self.iterations >= 0, "refine.iterations", "0 or more", self.iterations)
+        require(self.follow >= 0, "refine.follow", "0 or more", self.follow)
         for key in ("rigidity", "rigidity_noisy", "damping", "reach", "shape_smoothness", "clean_thickness"):
-            _require(getattr(self, key) > 0, f"refine.{key}", "a number above 0", getattr(self, key))
+            require(getattr(self, key) > 0, f"refine.{key}", "a number above 0", getattr(self, key))
         above = f"a number above refine.clean_thickness ({self.clean_thickness})"
-        _require(self.noisy_thickness > self.clean_thickness, "refine.noisy_thickness", above, self.noisy_thickness)
-        _require(-1 <= self.agreement < 1, "refine.agreement", "from -1 to below 1", self.agreement)
-        _require(0 <= self.shape_step < 2, "refine.shape_step", "from 0 to below 2", self.shape_step)
-        _require(0 < self.tolerance < 1, "refine.tolerance", "between 0 and 1", self.tolerance)
-        _require(self.iterations_max >= 1, "refine.iterations_max", "at least 1", self.iterations_max)
-        _require_sane(self, "refine.")
+        require(self.noisy_thickness > self.clean_thickness, "refine.noisy_thickness", above, self.noisy_thickness)
+        require(-1 <= self.agreement < 1, "refine.agreement", "from -1 to below 1", self.agreement)
+        require(0 <= self.shape_step < 2, "refine.shape_step", "from 0 to below 2", self.shape_step)
+        require(0 < self.tolerance < 1, "refine.tolerance", "between 0 and 1", self.tolerance)
+        require(self.iterations_max >= 1, "refine.iterations_max", "at least 1", self.iterations_max)
+        require_sane(self, "refine.")
 
 
 @dataclass(frozen=True)
@@ -363,41 +341,9 @@ class Config:
     def __post_init__(self) -> None:
         parse_slice(self.frames)
         parse_box(self.crop)
-        _require(self.points == 0 or self.points >= 10, "points", "0 (all) or at least 10", self.points)
-        _require(0 < self.fill <= 1, "fill", "above 0, up to 1", self.fill)
-        _require(self.seed >= 0, "seed", "0 or more", self.seed)
+        require(self.points == 0 or self.points >= 10, "points", "0 (all) or at least 10", self.points)
+        require(0 < self.fill <= 1, "fill", "above 0, up to 1", self.fill)
+        require(self.seed >= 0, "seed", "0 or more", self.seed)
         exact_on_pruned = self.sobolev.solver == "cosine" and self.grid.prune
-        _require(not exact_on_pruned, "sobolev.solver", "cg, warp or auto where grid.prune is true", "cosine")
-        _require_sane(self)
-
-
-def parse_box(text: str) -> tuple[list[float], list[float]]:
-    """``"x0:x1,y0:y1,z0:z1"``, any end left out, to the least and the greatest x, y and z; the empty text: no bounds.
-
-    Raises:
-        ConfigError: not of that form, or an axis whose end lies before its start.
-    """
-    axes = [axis.split(":") for axis in text.split(",")] if text else [["", ""]] * 3
-    try:
-        low, high = zip(*((float(a or "-inf"), float(b or "inf")) for a, b in axes), strict=True)
-    except ValueError:
-        low, high = (), ()
-    ok = len(low) == 3 and all(a < b for a, b in zip(low, high, strict=True))
-    _require(ok, "crop", "x0:x1,y0:y1,z0:z1, as -1:1,0:2,: in input units", text)
-    return list(low), list(high)
-
-
-def parse_slice(text: str) -> slice:
-    """``"a:b:step"`` with any part left out to a slice; the empty text means every frame.
-
-    Raises:
-        ConfigError: not of that form, or step 0.
-    """
-    parts = text.split(":") if text else ["", ""]
-    try:
-        numbers = [int(p) if p.strip() else None for p in parts]
-    except ValueError:
-        numbers = []
-    ok = len(numbers) in (2, 3) and not (len(numbers) == 3 and numbers[2] == 0)
-    _require(ok, "frames", "start:stop or start:stop:step, as 10:27", text)
-    return slice(*numbers)
+        require(not exact_on_pruned, "sobolev.solver", "cg, warp or auto where grid.prune is true", "cosine")
+        require_sane(self)

@@ -14,7 +14,8 @@ from warpdef.cleaning.far_points import drop_far
 from warpdef.cleaning.odd_frames import leave_out_odd
 from warpdef.cleaning.static_planes import cut_static_planes
 from warpdef.cleaning.strays import drop_strays
-from warpdef.config import Config, parse_slice
+from warpdef.config import Config
+from warpdef.config_values import parse_slice
 from warpdef.device import find_device
 from warpdef.errors import InputError
 from warpdef.files import read_clouds, read_mesh

@@ -9,7 +9,8 @@ import numpy as np
 
 from warpdef.apps.benchmark.meshes import resize_mesh
 from warpdef.apps.benchmark.sizes import Size
-from warpdef.config import Config, parse_slice
+from warpdef.config import Config
+from warpdef.config_values import parse_slice
 from warpdef.errors import InputError
 from warpdef.files.numpy_files import Npz
 from warpdef.mesh import MeshSequence

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from warpdef.apps.experiments.run import ExperimentRun, TruthSource, frame_text, with_values
-from warpdef.config import Config, parse_slice
+from warpdef.config import Config
+from warpdef.config_values import parse_slice
 from warpdef.errors import InputError
 
 

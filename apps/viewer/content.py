@@ -136,7 +136,7 @@ def load_content(
     Raises:
         InputError: something is missing or damaged, or numbers of frames do not fit.
     """
-    from warpdef.config import parse_slice
+    from warpdef.config_values import parse_slice
     from warpdef.export.origin import choose_origin
     from warpdef.files import read_clouds, read_mesh_frames, same_triangles
     from warpdef.files.frame_files import select_frames

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from warpdef.config import parse_box
+from warpdef.config_values import parse_box
 from warpdef.errors import InputError
 from warpdef.sequence import MIN_POINTS, PointSequence
 
 
 def crop(sequence: PointSequence, box: str) -> PointSequence:
-    """The points inside a box, as ``config.parse_box`` reads it; frames of which too few are left become gaps.
+    """The points inside a box, as ``config_values.parse_box`` reads it; frames of which too few are left become gaps.
 
     Raises:
         ConfigError: the box cannot be read.
