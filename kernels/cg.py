@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from warpdef.kernels.cg_functions import check_limits
-from warpdef.kernels.cg_kernels import kernels_for
+from warpdef.kernels.cg_kernels import kernels_for, lanes_for
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.launching import launch
 from warpdef.kernels.levels import node8
@@ -54,7 +54,7 @@ class ConjugateGradients:
         self._x, self._r, self._p, self._ap = (wp.zeros(nodes, dtype=dtype, device=device) for _ in range(4))
         self.iterations = wp.zeros(systems, dtype=wp.int32, device=device)
         self.residual = wp.zeros(systems, dtype=wp.float32, device=device)
-        self._lanes = lanes_of(device)
+        self._lanes = lanes_of(device, lanes_for(dtype))
 
     @property
     def start(self) -> wp.array:

@@ -11,6 +11,12 @@ from warpdef.kernels.blocks import block_options, block_sum, lane, lanes, wait
 from warpdef.kernels.cg_functions import functions_for, worst_residual_sq, worth_going_on
 from warpdef.kernels.launching import MODULE_OPTIONS
 from warpdef.kernels.sizes import sizes
+from warpdef.kernels.ways import LANES
+
+
+def lanes_for(dtype: Any) -> int:
+    """Lanes of a block that solves for vectors of this length: the longer they are, the more registers each takes."""
+    return LANES if dtype is wp.vec3 else 512
 
 
 def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
@@ -21,7 +27,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         "threads weight iterations_out residual_out: S; node x r p ap: N; first: S+1; row: N+1; column: E; rhs "
         "solution_out: F"
     )
-    @wp.kernel(**block_options())
+    @wp.kernel(**block_options(lanes_for(dtype)))
     def solve_systems(
         # In:
         begin: int,

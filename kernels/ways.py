@@ -30,8 +30,8 @@ class Way(Enum):
         return [(a, min(a + size, total)) for a in range(0, total, size)]
 
 
-LANES = 1024
-"""Threads of a block that work on one system together (``blocks``), on CUDA."""
+LANES = 768
+"""Threads of a block that work on one system together (``blocks``), on CUDA: as many as have 80 registers each."""
 
 _forced: Way | None = None
 _forced_lanes = 1
