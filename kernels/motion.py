@@ -72,6 +72,32 @@ def _adj_move_points(
     adj_sample(adj_nodes_out, transition[i], levels, level_count, x[0], x[1], x[2], g)
 
 
+@wp.func
+def move_vertex(
+    nodes: wp.array2d[node8],
+    transition: int,
+    levels: wp.array[wp.int32],
+    level_count: int,
+    i: int,
+    x: wp.vec3,
+    rotation_out: wp.array2d[wp.vec3],
+    jacobian_out: wp.array2d[wp.mat33],
+) -> wp.vec3:
+    """Where vertex i goes from x over one transition; what the way back needs is left in the outputs."""
+    s = sample_with_derivative(nodes, transition, levels, level_count, x[0], x[1], x[2])
+    z = wp.vec3(s[0, 0], s[0, 1], s[0, 2])
+    rotation_out[transition, i] = z
+    zx = wp.vec3(s[1, 0], s[1, 1], s[1, 2])
+    zy = wp.vec3(s[2, 0], s[2, 1], s[2, 2])
+    zz = wp.vec3(s[3, 0], s[3, 1], s[3, 2])
+    jx = rotate(z, wp.vec3(1.0, 0.0, 0.0)) + rotate_along(z, x, zx) + wp.vec3(s[1, 3], s[1, 4], s[1, 5])
+    jy = rotate(z, wp.vec3(0.0, 1.0, 0.0)) + rotate_along(z, x, zy) + wp.vec3(s[2, 3], s[2, 4], s[2, 5])
+    jz = rotate(z, wp.vec3(0.0, 0.0, 1.0)) + rotate_along(z, x, zz) + wp.vec3(s[3, 3], s[3, 4], s[3, 5])
+    # Rows are the derivatives along x, y, z: the transpose of dy/dx, which is what the way back multiplies by.
+    jacobian_out[transition, i] = wp.matrix_from_rows(jx, jy, jz)
+    return rotate(z, x) + wp.vec3(s[0, 3], s[0, 4], s[0, 5])
+
+
 @sizes(
     "threads: V; transition: <S; source target: <T; nodes: S M; levels: 2*L; level_count: L; vertices: T V; "
     "rotation_out jacobian_out: S V"
@@ -95,18 +121,7 @@ def _move_vertices(
     """One thread a vertex, one step of the chain."""
     i = begin + wp.tid()
     x = vertices[source, i]
-    s = sample_with_derivative(nodes, transition, levels, level_count, x[0], x[1], x[2])
-    z = wp.vec3(s[0, 0], s[0, 1], s[0, 2])
-    rotation_out[transition, i] = z
-    vertices[target, i] = rotate(z, x) + wp.vec3(s[0, 3], s[0, 4], s[0, 5])
-    zx = wp.vec3(s[1, 0], s[1, 1], s[1, 2])
-    zy = wp.vec3(s[2, 0], s[2, 1], s[2, 2])
-    zz = wp.vec3(s[3, 0], s[3, 1], s[3, 2])
-    jx = rotate(z, wp.vec3(1.0, 0.0, 0.0)) + rotate_along(z, x, zx) + wp.vec3(s[1, 3], s[1, 4], s[1, 5])
-    jy = rotate(z, wp.vec3(0.0, 1.0, 0.0)) + rotate_along(z, x, zy) + wp.vec3(s[2, 3], s[2, 4], s[2, 5])
-    jz = rotate(z, wp.vec3(0.0, 0.0, 1.0)) + rotate_along(z, x, zz) + wp.vec3(s[3, 3], s[3, 4], s[3, 5])
-    # Rows are the derivatives along x, y, z: the transpose of dy/dx, which is what the way back multiplies by.
-    jacobian_out[transition, i] = wp.matrix_from_rows(jx, jy, jz)
+    vertices[target, i] = move_vertex(nodes, transition, levels, level_count, i, x, rotation_out, jacobian_out)
 
 
 @sizes(
@@ -140,27 +155,25 @@ def _adj_move_vertices(
     carry[carry_source, i] = jacobian[transition, i] * a
 
 
-@sizes(
-    "threads: V; transition: <S; source: <T; levels: 2*L; level_count: L; vertices: T V; adj_motion: S V; "
-    "adj_nodes_out: S M"
-)
+@sizes("threads: S*V; levels: 2*L; level_count: L; source: S; vertices: T V; adj_motion: S V; adj_nodes_out: S M")
 @wp.kernel
 def _scatter_vertices(
     # In:
     begin: int,
-    transition: int,
-    source: int,
     levels: wp.array[wp.int32],
     level_count: int,
+    source: wp.array[wp.int32],
     vertices: wp.array2d[wp.vec3],
     adj_motion: wp.array2d[node8],
     # Out, added to:
     adj_nodes_out: wp.array2d[node8],
 ):
-    """One thread a vertex: its six-vector gradient to the nodes around it."""
-    i = begin + wp.tid()
-    x = vertices[source, i]
-    adj_sample(adj_nodes_out, transition, levels, level_count, x[0], x[1], x[2], adj_motion[transition, i])
+    """One thread a vertex of a transition: its six-vector gradient to the nodes around it."""
+    k = begin + wp.tid()
+    s = k // vertices.shape[1]
+    i = k - s * vertices.shape[1]
+    x = vertices[source[s], i]
+    adj_sample(adj_nodes_out, s, levels, level_count, x[0], x[1], x[2], adj_motion[s, i])
 
 
 def move_points(
@@ -222,11 +235,16 @@ def adj_move_vertices(
 
 
 def scatter_vertices(
-    begin: int, count: int, transition: int, source: int, levels: wp.array, vertices: wp.array, adj_motion: wp.array,
+    begin: int, count: int, levels: wp.array, source: wp.array, vertices: wp.array, adj_motion: wp.array,
     adj_nodes_out: wp.array,
 ) -> None:  # fmt: skip
-    """Add the six-vector gradients of one step, shape (S, V) node8, to the nodes around the vertices of ``source``."""
-    inputs = [begin, transition, source, levels, len(levels) // 2, vertices, adj_motion, adj_nodes_out]
+    """Add six-vector gradients to the nodes around the vertices of the frames that transitions start from.
+
+    Args:
+        begin, count: of vertices of transitions, counted over all of these (transition s owns V of them).
+        source: frame that a transition starts from, shape (S,) int32. adj_motion: shape (S, V) node8.
+    """
+    inputs = [begin, levels, len(levels) // 2, source, vertices, adj_motion, adj_nodes_out]
     launch(_scatter_vertices, count, inputs, adj_nodes_out.device)
 
 

@@ -17,7 +17,7 @@ from warpdef.fit.workers import Team
 # launches, allocations
 BOUNDS = {
     "iteration": (12, 0),
-    "iteration of the paper's descent": (75, 0),
+    "iteration of the paper's descent": (30, 0),
     "frame settled, a round": (12, 0),
     "round": (15, 0),
 }

@@ -9,6 +9,7 @@ import warp as wp
 import witness
 from gradients import along, assert_gradients_close, finite_differences, gradient_of
 
+from warpdef.kernels.chains import Paths, adj_move_chains, move_chains
 from warpdef.kernels.levels import LevelTable, node8
 from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_points, move_vertices, scatter_vertices
 
@@ -97,6 +98,8 @@ class GridChain:
 
     def __init__(self, arrays: Arrays, nodes: np.ndarray, template: np.ndarray) -> None:
         self.arrays, self.count = arrays, len(template)
+        ends = np.array(sorted(self.forward + self.backward))
+        self.paths = Paths.of(range(1, 3), range(0, -1, -1), ends[:, 1], ends[:, 2], wp.get_device(arrays.device))
         self.nodes = arrays.nodes(nodes)
         self.vertices = arrays.vectors(np.tile(template, (4, 1, 1)))
         self.rotation = arrays.zeros((3, self.count), wp.vec3)
@@ -119,8 +122,48 @@ class GridChain:
                     0, self.count, s, source, target, target, to, self.vertices, self.rotation, self.jacobian,
                     *forces, carry, adj_motion,
                 )  # fmt: skip
-                scatter_vertices(0, self.count, s, source, a.levels, self.vertices, adj_motion, adj_nodes)
+                span = (s * self.count, self.count)
+                scatter_vertices(*span, a.levels, self.paths.source, self.vertices, adj_motion, adj_nodes)
         return adj_nodes.numpy()[..., :6], carry.numpy()[1] + carry.numpy()[4]
+
+
+def test_all_transitions_at_once_are_one_after_the_other(arrays: Arrays, rng: np.random.Generator) -> None:
+    """As far as rounding goes, since compilers fuse as they like; also where one direction has no transitions."""
+
+    def assert_same(found: wp.array, expected: wp.array) -> None:
+        size = np.abs(expected.numpy()).max()
+        np.testing.assert_allclose(found.numpy(), expected.numpy(), rtol=0, atol=8 * np.finfo(np.float32).eps * size)
+        assert size > 0
+
+    nodes, template = random_nodes(3, rng), points_in_cube(40, rng)
+    one_by_one = Chain(arrays, nodes, template)
+    forces = (rng.uniform(size=4), *rng.normal(size=(2, 4, 40, 3)))
+    forces = (arrays.numbers(forces[0].astype(np.float32), wp.float32), *map(arrays.vectors, forces[1:]))
+    start = arrays.vectors(np.tile(template, (4, 1, 1)))
+    start[0].assign(np.full((40, 3), 9.0, np.float32))
+    start[2].assign(np.full((40, 3), 9.0, np.float32))
+    rotation, jacobian = arrays.zeros((3, 40), wp.vec3), arrays.zeros((3, 40), wp.mat33)
+    move_chains(one_by_one.paths, one_by_one.nodes, arrays.levels, start, rotation, jacobian)
+    pairs = zip(
+        (start, rotation, jacobian), (one_by_one.vertices, one_by_one.rotation, one_by_one.jacobian), strict=True
+    )
+    for found, expected in pairs:
+        assert_same(found, expected)
+    both = [(arrays.zeros((5, 40), wp.vec3), arrays.zeros((3, 40), node8)) for _ in range(2)]
+    adj_move_chains(one_by_one.paths, start, rotation, jacobian, *forces, *both[0])
+    for steps in (one_by_one.forward, one_by_one.backward):
+        for s, source, target in reversed(steps):
+            to = 4 if steps is one_by_one.backward else source
+            adj_move_vertices(0, 40, s, source, target, target, to, start, rotation, jacobian, *forces, *both[1])
+    for found, expected in zip(*both, strict=True):
+        assert_same(found, expected)
+    outer = Paths.of(range(3), range(-1, -1, -1), np.arange(3), np.arange(1, 4), wp.get_device(arrays.device))
+    start[0].assign(template.astype(np.float32))
+    move_chains(outer, one_by_one.nodes, arrays.levels, start, rotation, jacobian)
+    expected = template
+    for s in range(3):
+        expected = reference.move(nodes[s], LEVELS, expected)
+        np.testing.assert_allclose(start.numpy()[s + 1], expected, rtol=0, atol=1e-5)
 
 
 def chain_of_twins(nodes: np.ndarray, template: np.ndarray) -> np.ndarray:

@@ -115,8 +115,8 @@ class Bed:
         adj_move_points(
             0, len(o.input.points), self.levels, p.origin, p.moved_transition, o.input.rotation, o.input.adj_points, out
         )
-        for s, source in enumerate(p.transitions.source):
-            scatter_vertices(0, p.vertex_count, s, int(source), self.levels, o.vertices, o.chain.adj_motion, out)
+        count, sources = len(p.transitions) * p.vertex_count, p.integers(p.transitions.source)
+        scatter_vertices(0, count, self.levels, sources, o.vertices, o.chain.adj_motion, out)
         return out.numpy()
 
     def zeros(self, like: wp.array) -> wp.array:

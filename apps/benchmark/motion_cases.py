@@ -114,6 +114,7 @@ def _vertices(bed: Bed) -> list[Case]:
     levels, grid = p.levels.count, bed.nodes.size * NODE
     count = len(ends) * p.vertex_count
     vertices, z, jacobian = wp.clone(o.vertices), bed.zeros(o.chain.rotation), bed.zeros(o.chain.jacobian)
+    sources = p.integers(ends.source)
     carry, adj_motion, adj_nodes = bed.zeros(o.chain.carry), bed.zeros(o.chain.adj_motion), bed.node_array()
 
     def chain(begin: int, n: int) -> None:
@@ -130,9 +131,8 @@ def _vertices(bed: Bed) -> list[Case]:
             )  # fmt: skip
 
     def scatter(first: int, last: int) -> None:
-        for s in range(first, last):
-            source = int(ends.source[s])
-            scatter_vertices(0, p.vertex_count, s, source, bed.levels, o.vertices, o.chain.adj_motion, adj_nodes)
+        span = (first * p.vertex_count, (last - first) * p.vertex_count)
+        scatter_vertices(*span, bed.levels, sources, o.vertices, o.chain.adj_motion, adj_nodes)
 
     motion = _ROTATE + 3 * (_ROTATE + _ROTATE_ALONG)
     return [
