@@ -20,6 +20,7 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.sizes import sizes
+from warpdef.kernels.warp_sums import add_loss
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -97,7 +98,7 @@ def _moving_to_fixed(
         r = moving[i] - fixed[j]
         w = robust_weight(wp.length_sq(r), alpha, power) * share[s]
         w *= mutual_weight(moving, i, back, j, mutual_reach, s)
-        wp.atomic_add(loss_out, s, wp.float64(w * residual_energy(r, normals[j], tangential)))
+        add_loss(s, wp.float64(w * residual_energy(r, normals[j], tangential)), loss_out)
         adj_moving_out[i] = adj_moving_out[i] + adj_residual_energy(r, normals[j], tangential, w * weight[s])
 
 
@@ -133,7 +134,7 @@ def _fixed_to_moving(
         r = moving[j] - fixed[i]
         w = robust_weight(wp.length_sq(r), alpha, power) * share[s]
         w *= mutual_weight(fixed, i, back, j, mutual_reach, s)
-        wp.atomic_add(loss_out, s, wp.float64(w * residual_energy(r, normals[i], tangential)))
+        add_loss(s, wp.float64(w * residual_energy(r, normals[i], tangential)), loss_out)
         wp.atomic_add(adj_moving_out, j, adj_residual_energy(r, normals[i], tangential, w * weight[s]))
 
 

@@ -15,6 +15,7 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.sizes import sizes
+from warpdef.kernels.warp_sums import add_loss
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -59,7 +60,7 @@ def _isometry(
     if t + 1 < frame_count:
         change = length - wp.length(vertices[t + 1, i] - vertices[t + 1, j])
         signs = signs + sign_of_change(change)
-        wp.atomic_add(loss_out, t, wp.float64(share * wp.abs(change)))
+        add_loss(t, wp.float64(share * wp.abs(change)), loss_out)
     if length > 0.0 and signs != 0.0:
         g = (weight * share * signs / length) * d
         wp.atomic_add(adj_vertices_out, t, i, g)

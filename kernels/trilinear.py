@@ -15,6 +15,7 @@ import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS
 from warpdef.kernels.levels import node8
+from warpdef.kernels.warp_sums import CORNER_SUM
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -43,8 +44,17 @@ _REGISTER = """
     #define UNPACK(v) reg(make_float4(v[0], v[1], v[2], v[3]), make_float4(v[4], v[5], v[6], v[7]))
     #define STORE(q, r) { (q)[0] = (r).a.x; (q)[1] = (r).a.y; (q)[2] = (r).a.z; (q)[3] = (r).a.w; \\
                           (q)[4] = (r).b.x; (q)[5] = (r).b.y; (q)[6] = (r).b.z; (q)[7] = (r).b.w; }
-    #define ADD(q, r) { atomicAdd((q) + 0, (r).a.x); atomicAdd((q) + 1, (r).a.y); atomicAdd((q) + 2, (r).a.z); \\
-                        atomicAdd((q) + 3, (r).a.w); atomicAdd((q) + 4, (r).b.x); atomicAdd((q) + 5, (r).b.y); }
+    #if __CUDA_ARCH__ >= 900
+        #define ADD_FOUR(q, x, y, z, w) asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};" \\
+            :: "l"(__cvta_generic_to_global(q)), "f"(x), "f"(y), "f"(z), "f"(w) : "memory")
+        #define ADD_TWO(q, x, y) asm volatile("red.global.add.v2.f32 [%0], {%1, %2};" \\
+            :: "l"(__cvta_generic_to_global(q)), "f"(x), "f"(y) : "memory")
+    #else
+        #define ADD_FOUR(q, x, y, z, w) { atomicAdd((q), x); atomicAdd((q) + 1, y); atomicAdd((q) + 2, z); \\
+            atomicAdd((q) + 3, w); }
+        #define ADD_TWO(q, x, y) { atomicAdd((q), x); atomicAdd((q) + 1, y); }
+    #endif
+    #define ADD(q, r) { ADD_FOUR(q, (r).a.x, (r).a.y, (r).a.z, (r).a.w); ADD_TWO((q) + 4, (r).b.x, (r).b.y); }
     #define ZERO reg(0.0f)
 #else
     typedef float reg __attribute__((vector_size(32), aligned(4)));
@@ -208,6 +218,17 @@ _SCATTER = (
     float* base = (float*)adj_nodes.data + (size_t)transition * adj_nodes.shape[1] * 8;
     const float share = 1.0f / (float)level_count;
     const reg g = UNPACK(adj_value) * share;  // a local value need not be aligned as nodes are
+    #if defined(__CUDA_ARCH__)
+        // Complete warps add up cell by cell first, unless their points are strewn over many.
+        #define F float
+        #define PLACE place
+        #define SHUFFLE(v, m) __shfl_xor_sync(all, v, m)
+        #define PICK(c, a, b) ((c) ? (a) : (b))
+        #define NOTHING 0.0f
+        const unsigned all = 0xffffffffu;
+        const int place = threadIdx.x % 32;
+        const bool together = __activemask() == all;
+    #endif
 """
     + _CELLS
     + """
@@ -224,17 +245,47 @@ _SCATTER = (
         *(two*)q += h0 - h01; *(two*)(q + sy) += h01;
         *(two*)(q + sx) += h1 - h11; *(two*)(q + sx + sy) += h11;
     #else
-        const reg g1 = g * fx, g0 = g - g1;
-        const reg g01 = g0 * fy, g00 = g0 - g01, g11 = g1 * fy, g10 = g1 - g11;
-        const reg h00 = g00 * fz, h01 = g01 * fz, h10 = g10 * fz, h11 = g11 * fz;
-        ADD(q, g00 - h00); ADD(q + sz, h00);
-        ADD(q + sy, g01 - h01); ADD(q + sy + sz, h01);
-        ADD(q + sx, g10 - h10); ADD(q + sx + sz, h10);
-        ADD(q + sx + sy, g11 - h11); ADD(q + sx + sy + sz, h11);
+        const unsigned long long cell = (unsigned long long)q;
+        unsigned leaders = 0;
+        if (together) {
+            const unsigned alike = __match_any_sync(all, cell);
+            leaders = __ballot_sync(all, __ffs(alike) - 1 == place);
+        }
+        if (!together || __popc(leaders) > CELLS_AT_ONCE) {
+            if (n == 1) { ADD(q, g); continue; }
+            const reg g1 = g * fx, g0 = g - g1;
+            const reg g01 = g0 * fy, g00 = g0 - g01, g11 = g1 * fy, g10 = g1 - g11;
+            const reg h00 = g00 * fz, h01 = g01 * fz, h10 = g10 * fz, h11 = g11 * fz;
+            ADD(q, g00 - h00); ADD(q + sz, h00);
+            ADD(q + sy, g01 - h01); ADD(q + sy + sz, h01);
+            ADD(q + sx, g10 - h10); ADD(q + sx + sz, h10);
+            ADD(q + sx + sy, g11 - h11); ADD(q + sx + sy + sz, h11);
+            continue;
+        }
+        const float given[6] = {g.a.x, g.a.y, g.a.z, g.a.w, g.b.x, g.b.y};
+        for (; leaders; leaders &= leaders - 1) {
+            const unsigned long long of = __shfl_sync(all, cell, __ffs(leaders) - 1);
+            const bool mine = cell == of;
+"""
+    + CORNER_SUM
+    + """
+            const int along = ((place & 16) ? sx : 0) + ((place & 8) ? sy : 0) + ((place & 4) ? sz : 0);
+            float* const corner = (float*)of + along;
+            if (n == 1 && place >= 4) continue;  // all corners are one node, and one of them has it all
+            if (place % 4 == 0) ADD_FOUR(corner, corner_sum[0], corner_sum[1], corner_sum[2], corner_sum[3]);
+            if (place % 4 == 1) ADD_TWO(corner + 4, corner_sum[4], corner_sum[5]);
+        }
     #endif
     }
+    #if defined(__CUDA_ARCH__)
+        #undef F
+        #undef PLACE
+        #undef SHUFFLE
+        #undef PICK
+        #undef NOTHING
+    #endif
 """
-)
+).replace("CELLS_AT_ONCE", "6")
 
 
 @wp.func_native(_VALUE)
