@@ -68,14 +68,9 @@ def _move_chains(
     k = wp.tid()
     d = k // vertices.shape[1]
     i = k - d * vertices.shape[1]
-    first = bounds[d]
-    last = bounds[d + 1]
-    if first < last:
-        x = vertices[source[order[first]], i]
-        for step in range(first, last):
-            s = order[step]
-            x = move_vertex(nodes, s, levels, level_count, i, x, rotation_out, jacobian_out)
-            vertices[target[s], i] = x
+    for step in range(bounds[d], bounds[d + 1]):
+        s = order[step]
+        move_vertex(nodes, s, levels, level_count, i, source[s], target[s], vertices, rotation_out, jacobian_out)
 
 
 @sizes(

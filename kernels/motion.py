@@ -79,14 +79,18 @@ def move_vertex(
     levels: wp.array[wp.int32],
     level_count: int,
     i: int,
-    x: wp.vec3,
+    source: int,
+    target: int,
+    vertices: wp.array2d[wp.vec3],
     rotation_out: wp.array2d[wp.vec3],
     jacobian_out: wp.array2d[wp.mat33],
-) -> wp.vec3:
-    """Where vertex i goes from x over one transition; what the way back needs is left in the outputs."""
+):
+    """Vertex i over one transition, from frame source to frame target, and what the way back needs."""
+    x = vertices[source, i]
     s = sample_with_derivative(nodes, transition, levels, level_count, x[0], x[1], x[2])
     z = wp.vec3(s[0, 0], s[0, 1], s[0, 2])
     rotation_out[transition, i] = z
+    vertices[target, i] = rotate(z, x) + wp.vec3(s[0, 3], s[0, 4], s[0, 5])
     zx = wp.vec3(s[1, 0], s[1, 1], s[1, 2])
     zy = wp.vec3(s[2, 0], s[2, 1], s[2, 2])
     zz = wp.vec3(s[3, 0], s[3, 1], s[3, 2])
@@ -95,7 +99,6 @@ def move_vertex(
     jz = rotate(z, wp.vec3(0.0, 0.0, 1.0)) + rotate_along(z, x, zz) + wp.vec3(s[3, 3], s[3, 4], s[3, 5])
     # Rows are the derivatives along x, y, z: the transpose of dy/dx, which is what the way back multiplies by.
     jacobian_out[transition, i] = wp.matrix_from_rows(jx, jy, jz)
-    return rotate(z, x) + wp.vec3(s[0, 3], s[0, 4], s[0, 5])
 
 
 @sizes(
@@ -120,8 +123,7 @@ def _move_vertices(
 ):
     """One thread a vertex, one step of the chain."""
     i = begin + wp.tid()
-    x = vertices[source, i]
-    vertices[target, i] = move_vertex(nodes, transition, levels, level_count, i, x, rotation_out, jacobian_out)
+    move_vertex(nodes, transition, levels, level_count, i, source, target, vertices, rotation_out, jacobian_out)
 
 
 @sizes(
