@@ -136,7 +136,7 @@ def test_all_transitions_at_once_are_one_after_the_other(arrays: Arrays, rng: np
         assert size > 0
 
     nodes, template = random_nodes(3, rng), points_in_cube(40, rng)
-    one_by_one = Chain(arrays, nodes, template)
+    one_by_one = GridChain(arrays, nodes, template)
     forces = (rng.uniform(size=4), *rng.normal(size=(2, 4, 40, 3)))
     forces = (arrays.numbers(forces[0].astype(np.float32), wp.float32), *map(arrays.vectors, forces[1:]))
     start = arrays.vectors(np.tile(template, (4, 1, 1)))
