@@ -18,6 +18,8 @@ from warpdef.kernels.ways import lanes_of
 
 wp.set_module_options(MODULE_OPTIONS)
 
+_LANES = 640  # as many as have registers for what each needs
+
 
 @wp.func
 def diagonal_block(matrix: wp.mat33, degree: int, alpha: float, beta: float) -> wp.mat33:
@@ -45,7 +47,7 @@ def apply_block_row(
 
 
 @sizes("threads iterations_out residual_out: T; row: V+1; column: E; matrix rhs inverse r p ap solution_out: T V")
-@wp.kernel(**block_options())
+@wp.kernel(**block_options(_LANES))
 def _solve_frames(
     # In:
     begin: int,
@@ -167,7 +169,7 @@ class BlockSolver:
         self._r, self._p, self._ap = (wp.zeros(shape, dtype=wp.vec3, device=device) for _ in range(3))
         self.iterations = wp.zeros(frame_count, dtype=wp.int32, device=device)
         self.residual = wp.zeros(frame_count, dtype=wp.float32, device=device)
-        self._lanes = lanes_of(device)
+        self._lanes = lanes_of(device, _LANES)
 
     def solve(
         self, first: int, last: int, alpha: float, beta: float, matrix: wp.array, rhs: wp.array,

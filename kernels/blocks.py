@@ -26,7 +26,7 @@ wp.set_module_options(MODULE_OPTIONS)
 
 def block_options(lanes: int = LANES) -> dict[str, Any]:
     """Of a kernel for blocks of so many lanes: its module, and registers for as many."""
-    return {"module": "unique", "launch_bounds": lanes, "module_options": MODULE_OPTIONS | {"block_dim": lanes}}
+    return {"module": "unique", "launch_bounds": (lanes, 1), "module_options": MODULE_OPTIONS | {"block_dim": lanes}}
 
 
 @wp.func_native("return WP_TILE_THREAD_IDX;")
@@ -93,7 +93,7 @@ def block_sum(value: wp.vec3) -> wp.vec3: ...
 def block_sum(value: node8) -> node8: ...  # noqa: F811 - an overload, for Warp
 
 
-# What all lanes before this one have together.
+# What all lanes before this one have together, and what all lanes have.
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     __shared__ int part[32];
@@ -105,20 +105,23 @@ def block_sum(value: node8) -> node8: ...  # noqa: F811 - an overload, for Warp
     }
     if (place == 31) part[warp] = up_to;
     __syncthreads();
-    int before = up_to - value;
-    for (int w = 0; w < warp; ++w) before += part[w];
+    int before = up_to - value, total = 0;
+    for (int w = 0; w < WP_TILE_BLOCK_DIM / 32; ++w) { before += w < warp ? part[w] : 0; total += part[w]; }
     __syncthreads();
-    return before;
+    return wp::vec_t<2, wp::int32>(before, total);
 #else
-    if (WP_TILE_BLOCK_DIM == 1) return 0;
+    if (WP_TILE_BLOCK_DIM == 1) return wp::vec_t<2, wp::int32>(0, value);
     struct parts { int of[WP_TILE_BLOCK_DIM]; };
     wp::wp_block_shared<parts> shared;
     shared->of[WP_TILE_THREAD_IDX] = value;
     WP_TILE_SYNC();
-    int before = 0;
-    for (int l = 0; l < WP_TILE_THREAD_IDX; ++l) before += shared->of[l];
+    int before = 0, total = 0;
+    for (int l = 0; l < WP_TILE_BLOCK_DIM; ++l) {
+        before += l < WP_TILE_THREAD_IDX ? shared->of[l] : 0;
+        total += shared->of[l];
+    }
     WP_TILE_SYNC();
-    return before;
+    return wp::vec_t<2, wp::int32>(before, total);
 #endif
 """)
-def sum_before(value: int) -> int: ...
+def sum_before(value: int) -> wp.vec2i: ...

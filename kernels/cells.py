@@ -25,6 +25,7 @@ wp.set_module_options(MODULE_OPTIONS)
 _CELLS_PER_POINT = {Way.SPANS: 3.0, Way.WHOLE: 8.0}
 CELLS_MAX = 2**18
 """Cells of a search grid, a frame."""
+RUN = wp.constant(8)
 
 
 @sizes("nx: X; ny: Y; nz: Z")
@@ -218,17 +219,20 @@ def _sort_groups_in_blocks(
         cell[i] = c
         wp.atomic_add(start_out, g, c, 1)
     wait()
-    # A run of cells a lane: where each of them ends.
-    share = (count + lanes() - 1) // lanes()
-    first = wp.min(lane() * share, count)
-    after = wp.min(first + share, count)
-    mine = int(0)
-    for c in range(first, after):
-        mine = mine + start_out[g, c]
-    total = lowest + sum_before(mine)
-    for c in range(first, after):
-        total = total + start_out[g, c]
-        start_out[g, c] = total
+    # Where each cell ends: eight in a row a lane, which is what memory gives at a time, then all lanes further on.
+    total = lowest
+    for run in range(0, count, RUN * lanes()):
+        first = wp.min(run + RUN * lane(), count)
+        after = wp.min(first + RUN, count)
+        mine = int(0)
+        for c in range(first, after):
+            mine = mine + start_out[g, c]
+        sums = sum_before(mine)
+        end_of = total + sums[0]
+        for c in range(first, after):
+            end_of = end_of + start_out[g, c]
+            start_out[g, c] = end_of
+        total = total + sums[1]
     wait()
     # From each cell's end downwards, which leaves where it begins.
     for i in range(lowest + lane(), end, lanes()):
