@@ -52,7 +52,7 @@ def matrix_of(graph: Graph, blocks: np.ndarray, alpha: float, beta: float) -> cs
     return (block_diag(blocks.astype(np.float64)) + kron(scalar, identity(3))).tocsr()
 
 
-class Solve:
+class BlockSolve:
     """One solver, all its frames; ``solution`` holds 7 where nobody wrote."""
 
     def __init__(self, graph: Graph, device: str, lanes: int, tolerance=1e-5, iterations=300, frames=FRAMES):
@@ -90,7 +90,7 @@ class Solve:
 
 @pytest.mark.parametrize(("alpha", "beta"), [(ALPHA, BETA), (3.0, 0.1), (1e-3, 1.0)])
 def test_it_is_the_direct_solution(alpha, beta, graph, system, device: str, lanes: int) -> None:
-    solve, (matrix, rhs) = Solve(graph, device, lanes), system
+    solve, (matrix, rhs) = BlockSolve(graph, device, lanes), system
     solution = solve(matrix, rhs, alpha, beta)
     # What is told was added up in float32.
     assert (solve.residuals(matrix, rhs, solution, alpha, beta) <= 1.2e-5).all()
@@ -106,7 +106,7 @@ def test_it_is_the_direct_solution(alpha, beta, graph, system, device: str, lane
 
 def test_a_zero_right_hand_side_is_zero_at_once(graph, system, device: str, lanes: int) -> None:
     """In every frame, or in one while the others go on."""
-    solve, (matrix, rhs) = Solve(graph, device, lanes), system
+    solve, (matrix, rhs) = BlockSolve(graph, device, lanes), system
     rhs[2] = 0
     solution = solve(matrix, rhs)
     np.testing.assert_array_equal(solution[2], 0)
@@ -119,7 +119,7 @@ def test_a_zero_right_hand_side_is_zero_at_once(graph, system, device: str, lane
 
 
 def test_giving_up_is_said(graph, system, device: str, lanes: int) -> None:
-    solve, (matrix, rhs) = Solve(graph, device, lanes, tolerance=1e-6, iterations=3), system
+    solve, (matrix, rhs) = BlockSolve(graph, device, lanes, tolerance=1e-6, iterations=3), system
     solution = solve(matrix, rhs)
     np.testing.assert_array_equal(solve.iterations, 3)
     assert (solve.told > 1e-6).all()
@@ -128,11 +128,11 @@ def test_giving_up_is_said(graph, system, device: str, lanes: int) -> None:
 
 def test_what_is_told_is_the_true_residual(graph, system, device: str, lanes: int) -> None:
     """So stiff that the recursion drifts; the first frame, without any planes, cannot have what is asked for."""
-    solve, (matrix, rhs) = Solve(graph, device, lanes, tolerance=1e-4), system
+    solve, (matrix, rhs) = BlockSolve(graph, device, lanes, tolerance=1e-4), system
     left = solve.residuals(matrix, rhs, solve(matrix, rhs, 1e4, BETA), 1e4, BETA)
     assert (left > 1e-4).any() and (solve.iterations < 300).all()
     np.testing.assert_allclose(solve.told, left, rtol=0.5, atol=5e-5)
-    solve = Solve(graph, device, lanes, tolerance=1e-3)
+    solve = BlockSolve(graph, device, lanes, tolerance=1e-3)
     left = solve.residuals(matrix, rhs, solve(matrix, rhs, 3e3, BETA), 3e3, BETA)
     assert (solve.told[1:] <= 1e-3).all() and (left[1:] <= 1.02e-3).all()
 
@@ -149,12 +149,12 @@ def test_limits_that_cannot_work_are_refused(
 
 
 def test_a_loose_tolerance_stops_early_and_is_kept(graph, system, device: str, lanes: int) -> None:
-    solve, (matrix, rhs) = Solve(graph, device, lanes, tolerance=1e-2), system
+    solve, (matrix, rhs) = BlockSolve(graph, device, lanes, tolerance=1e-2), system
     solution = solve(matrix, rhs)
     left = solve.residuals(matrix, rhs, solution)
     assert (left <= 1.01e-2).all()
     np.testing.assert_allclose(solve.told, left, rtol=1e-2)
-    fine = Solve(graph, device, lanes)
+    fine = BlockSolve(graph, device, lanes)
     fine(matrix, rhs)
     assert (solve.iterations < fine.iterations).all()
 
@@ -163,7 +163,7 @@ def test_frames_stop_apart(graph, system, device: str, lanes: int) -> None:
     """A frame whose blocks hold every vertex is soon done and stands still while one without blocks goes on."""
     matrix, rhs = system
     matrix[3] = 1e3 * np.eye(3)
-    solve = Solve(graph, device, lanes)
+    solve = BlockSolve(graph, device, lanes)
     solution = solve(matrix, rhs)
     assert solve.iterations[3] <= 3 < 10 < solve.iterations[0]
     assert (solve.residuals(matrix, rhs, solution) <= 2e-5).all()
@@ -172,7 +172,7 @@ def test_frames_stop_apart(graph, system, device: str, lanes: int) -> None:
 def test_single_frames_are_all_frames(graph, system) -> None:
     """CPU: spans of frames, in any order, give the bits of one call."""
     matrix, rhs = system
-    whole, single = Solve(graph, "cpu", 1), Solve(graph, "cpu", 1)
+    whole, single = BlockSolve(graph, "cpu", 1), BlockSolve(graph, "cpu", 1)
     expected = whole(matrix, rhs)
     np.testing.assert_array_equal(single(matrix, rhs, spans=[(3, 4), (0, 1), (1, 3)]), expected)
     np.testing.assert_array_equal(single.iterations, whole.iterations)
@@ -181,21 +181,21 @@ def test_single_frames_are_all_frames(graph, system) -> None:
 
 def test_a_span_leaves_the_others_alone(graph, system) -> None:
     matrix, rhs = system
-    solve = Solve(graph, "cpu", 1)
+    solve = BlockSolve(graph, "cpu", 1)
     solution = solve(matrix, rhs, spans=[(1, 2)])
     assert (solution[[0, 2, 3]] == 7).all() and (solution[1] != 7).any()
     np.testing.assert_array_equal(solve.iterations[[0, 2, 3]], 0)
-    np.testing.assert_array_equal(solution[1], Solve(graph, "cpu", 1)(matrix, rhs)[1])
+    np.testing.assert_array_equal(solution[1], BlockSolve(graph, "cpu", 1)(matrix, rhs)[1])
 
 
 def test_any_number_of_lanes_agrees(graph, system) -> None:
     """More lanes than vertices, and fewer; each adds up in an order of its own."""
     matrix, rhs = system
     for limits in ({}, {"iterations": 5}):
-        one = Solve(graph, "cpu", 1, **limits)
+        one = BlockSolve(graph, "cpu", 1, **limits)
         expected = one(matrix, rhs)
         for lanes in (3, 32, 200):
-            shared = Solve(graph, "cpu", lanes, **limits)
+            shared = BlockSolve(graph, "cpu", lanes, **limits)
             apart = np.linalg.norm((shared(matrix, rhs) - expected).reshape(FRAMES, -1), axis=1)
             # |x - x*| <= |r| / beta for each of the two: no eigenvalue is smaller. Five steps are the same five.
             left = 2 * 1.2e-5 * np.linalg.norm(rhs.reshape(FRAMES, -1), axis=1) / BETA
@@ -208,10 +208,10 @@ def test_any_number_of_lanes_agrees(graph, system) -> None:
 def test_every_solve_starts_from_zero(graph, system, device: str, lanes: int) -> None:
     """What an earlier solve left behind, converged or not, changes nothing."""
     matrix, rhs = system
-    used = Solve(graph, device, lanes)
+    used = BlockSolve(graph, device, lanes)
     used(matrix[::-1], 1e3 * rhs)
     used(matrix, 0 * rhs)
-    fresh = Solve(graph, device, lanes)
+    fresh = BlockSolve(graph, device, lanes)
     # Bits, on every device: sums are added up in a fixed order.
     np.testing.assert_array_equal(used(matrix, rhs), fresh(matrix, rhs))
     np.testing.assert_array_equal(used.iterations, fresh.iterations)
@@ -220,7 +220,7 @@ def test_every_solve_starts_from_zero(graph, system, device: str, lanes: int) ->
 def test_without_edges_every_vertex_solves_its_own_block(graph, system, device: str, lanes: int) -> None:
     """alpha = 0: the preconditioner is the inverse, and one step is all."""
     matrix, rhs = system
-    solve = Solve(graph, device, lanes)
+    solve = BlockSolve(graph, device, lanes)
     solution = solve(matrix, rhs, alpha=0.0, beta=0.5)
     blocks = matrix.astype(np.float64) + 0.5 * np.eye(3)
     np.testing.assert_allclose(solution, np.linalg.solve(blocks, rhs[..., None])[..., 0], rtol=0, atol=1e-5)
@@ -230,12 +230,12 @@ def test_without_edges_every_vertex_solves_its_own_block(graph, system, device: 
 def test_a_vertex_without_edges_and_block_is_only_damped(graph, system, device: str, lanes: int) -> None:
     matrix, rhs = system
     matrix[:, -1] = 0
-    solution = Solve(graph, device, lanes)(matrix, rhs, alpha=1.0, beta=0.5)
+    solution = BlockSolve(graph, device, lanes)(matrix, rhs, alpha=1.0, beta=0.5)
     np.testing.assert_allclose(solution[:, -1], rhs[:, -1] / 0.5, rtol=0, atol=1e-3)
 
 
 def test_one_vertex_one_frame(device: str, lanes: int) -> None:
     lonely = mesh_graph(np.zeros((0, 2), int), 1, 1.0)
     matrix, rhs = np.diag([1.0, 2.0, 3.0])[None, None], np.array([[[1.0, 1.0, 1.0]]])
-    solution = Solve(lonely, device, lanes, frames=1)(matrix, rhs, beta=1.0)
+    solution = BlockSolve(lonely, device, lanes, frames=1)(matrix, rhs, beta=1.0)
     np.testing.assert_allclose(solution, [[[1 / 2, 1 / 3, 1 / 4]]], rtol=1e-5)
