@@ -158,10 +158,17 @@ def test_a_keyframe_that_shows_a_part_moves_no_template(seen: float, device: str
     kept = moving.clouds[1][:, 0] < seen
     clouds, normals = list(moving.clouds), list(moving.normals)
     clouds[1], normals[1] = clouds[1][kept], normals[1][kept]
-    run = DescendedRun(replace(moving, clouds=clouds, normals=normals), configured(), device, 12)
+    config = configured(sobolev={"tolerance": 1e-6})
+    run = DescendedRun(replace(moving, clouds=clouds, normals=normals), config, device, 12)
     assert run.optimiser.problem.measures.complete[1] == (seen > 1)
     moved = np.abs(run.vertices[1] - moving.vertices[1]).max()
-    assert moved > 1e-4 if seen > 1 else moved < 1e-6
+    # Where conjugate gradients take the template's offsets u back to it, M x = u is left with a residual |r| below the
+    # tolerance times |u| (a hair above, for it is added up in float32), and as no eigenvalue of M = I + lambda L is
+    # smaller than 1, |x - M^-1 u| <= |r|. The factorisation that a CPU has is exact but for rounding.
+    by_gradients = 1.01e-6 * float(np.linalg.norm(run.optimiser.shape.u.numpy()))
+    still = 1e-6 if device == "cpu" else by_gradients
+    assert still < 5e-5 < 1e-4
+    assert moved > 1e-4 if seen > 1 else moved < still
 
 
 def test_during_warm_up_the_template_descends_and_isometry_waits(ellipsoid, device: str) -> None:

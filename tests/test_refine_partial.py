@@ -60,7 +60,16 @@ def test_the_shape_is_that_of_frames_that_show_all(device: str, rng: np.random.G
     bent[1::2] += 0.3 * np.clip(scene.body[:, :1], 0, None) * [0, 0, 1]
     run, straight = (Rounds(scene, start, device, 1, keyframe=2) for start in (bent, scene.vertices))
     np.testing.assert_array_equal(np.flatnonzero(run.problem.measures.complete), [0, 2, 4])
-    np.testing.assert_array_equal(run.rest, straight.rest)
+    apart = 0.0
+    if device != "cpu":
+        # A device adds what points ask of a vertex in any order. What such rounding comes to in a round is seen by
+        # rounding anew what the round begins with: a float32 sum of a few terms is off by a few of its last bits.
+        for seed in range(4):
+            last_bits = np.random.default_rng(seed).uniform(-1, 1, scene.vertices.shape) * 2.0**-23
+            rounded = Rounds(scene, scene.vertices * (1 + last_bits), device, 1, keyframe=2)
+            apart = max(apart, 3 * float(np.abs(rounded.rest - straight.rest).max()))
+        assert apart < 1e-5  # of bends of 0.1
+    np.testing.assert_allclose(run.rest, straight.rest, rtol=0, atol=apart)
     assert np.abs(run.rest - scene.vertices[2]).max() > 0
 
 
