@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from warpdef.apps.viewer.actors import Look
     from warpdef.apps.viewer.camera import Stand
     from warpdef.apps.viewer.content import Content
+    from warpdef.apps.viewer.scene import Scene
 
 Flag = Annotated[bool, Parameter(negative="")]
 Slice = Annotated[str, Parameter(allow_leading_hyphen=True)]
@@ -52,6 +53,7 @@ def view(
     azimuth: Annotated[float, Parameter(validator=Number(gte=-360, lte=360))] = 25.0,
     elevation: Annotated[float, Parameter(validator=Number(gte=-89, lte=89))] = 12.0,
     zoom: Annotated[float, Parameter(validator=Number(gte=0.01, lte=100))] = 1.0,
+    camera: Path | None = None,
     size: str = "",
     screenshot: Path | None = None,
     sheet: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
@@ -87,6 +89,7 @@ def view(
         azimuth: Where the camera stands, degrees about the up axis.
         elevation: How high it stands, degrees above the ground.
         zoom: How much nearer than where the whole motion is seen.
+        camera: Stand where this file says; k in the window writes it.
         size: Width and height of window or pictures, as 1280x720; the largest tile of a contact sheet.
         screenshot: Write a picture, .png or .jpg.
         sheet: Make the picture a contact sheet of this many frames.
@@ -109,9 +112,11 @@ def view(
         raise InputError(f"{output}: nothing is there; expected the folder of a result, as reconstruct writes it")
     check_outputs(screenshot, movie, html, overwrite)
     width, height = parse_size(size)
+    _check_camera(camera, Stand(azimuth, elevation, zoom), html, screenshot or movie)
     in_window = screenshot is None and movie is None and html is None
     probe = RenderingProbe(in_window) if in_window or screenshot is not None or movie is not None else None
     try:
+        from warpdef.apps.viewer.camera_file import load_camera
         from warpdef.apps.viewer.content import load_content
 
         content = load_content(
@@ -128,6 +133,7 @@ def view(
         if frame >= len(content):
             raise InputError(f"--frame: expected 0..{len(content) - 1}, got {frame}")
         stand = Stand(azimuth, elevation, zoom)
+        kept = load_camera(camera, content.origin) if camera is not None and camera.is_file() else None
         look = Look(color, cloud, trajectories, wireframe, not flat, clim, cmap, scale_bar, transparent)
         _check_look(content, look)
         if html is not None:
@@ -137,10 +143,20 @@ def view(
     finally:
         if probe is not None:
             probe.stop()
+    if not in_window and probe is None:
+        return EXIT_OK
+    from warpdef.apps.viewer.scene import Scene
+
     if in_window:
-        _open_window(content, look, (width, height), fps, frame, str(output), stand)
-    elif probe is not None:
-        _write_pictures(content, look, (width, height), fps, frame, screenshot, sheet, movie, turntable, stand)
+        with clean_stdout():
+            scene = Scene(content, off_screen=False, size=(width, height), look=look, stand=stand, camera=kept)
+        _open_window(scene, fps, frame, str(output), camera)
+    else:
+        with clean_stdout():
+            # mp4 wants even numbers of pixels.
+            even = width // 2 * 2, height // 2 * 2
+            scene = Scene(content, off_screen=True, size=even, look=look, stand=stand, camera=kept)
+        _write_pictures(scene, (width, height), fps, frame, screenshot, sheet, movie, turntable)
     return EXIT_OK
 
 
@@ -180,6 +196,22 @@ def _check_look(content: Content, look: Look) -> None:
         raise InputError("--cloud: expected the clouds that the result was made from; give --input")
 
 
+def _check_camera(camera: Path | None, stand: Stand, html: Path | None, picture: Path | None) -> None:
+    """A camera's file is all that says where to stand, and must be there where no window could write it."""
+    from warpdef.apps.viewer.camera import Stand
+
+    if camera is None:
+        return
+    if stand != Stand():
+        raise InputError("--camera: expected it without --azimuth, --elevation and --zoom, got both; leave out one")
+    if html is not None:
+        raise InputError("--camera: expected a window or pictures, got --html; give the page --azimuth and --elevation")
+    if picture is not None and not camera.is_file():
+        raise InputError(f"--camera: {camera}: nothing is there; open the window with it and press k, which writes it")
+    if not camera.parent.is_dir():
+        raise InputError(f"--camera: {camera}: expected a file in a folder that is there; make it first")
+
+
 def _write_html(content: Content, look: Look, path: Path, fps: float, frame: int, stand: Stand, name: str) -> None:
     from warpdef.apps.viewer.html import write_html
 
@@ -189,8 +221,7 @@ def _write_html(content: Content, look: Look, path: Path, fps: float, frame: int
 
 
 def _write_pictures(
-    content: Content,
-    look: Look,
+    scene: Scene,
     size: tuple[int, int],
     fps: float,
     frame: int,
@@ -198,22 +229,18 @@ def _write_pictures(
     sheet: int,
     movie: Path | None,
     turntable: bool,
-    stand: Stand,
 ) -> None:
     from warpdef.apps.viewer.movie import save_picture, write_movie
-    from warpdef.apps.viewer.scene import Scene
     from warpdef.apps.viewer.sheet import contact_sheet
 
-    with clean_stdout():
-        # mp4 wants even numbers of pixels.
-        scene = Scene(content, off_screen=True, size=(size[0] // 2 * 2, size[1] // 2 * 2), look=look, stand=stand)
     try:
+        count = len(scene.content)
         if screenshot is not None:
             started = time.perf_counter()
             with clean_stdout():
                 scene.show(frame)
                 save_picture(contact_sheet(scene, sheet, size) if sheet else scene.picture(), screenshot)
-            _report(screenshot, started, f"{min(sheet, len(content))} frames" if sheet else f"frame {frame}")
+            _report(screenshot, started, f"{min(sheet, count)} frames" if sheet else f"frame {frame}")
         if movie is not None:
             started = time.perf_counter()
             with clean_stdout():
@@ -223,18 +250,14 @@ def _write_pictures(
         scene.close()
 
 
-def _open_window(
-    content: Content, look: Look, size: tuple[int, int], fps: float, frame: int, title: str, stand: Stand
-) -> None:
+def _open_window(scene: Scene, fps: float, frame: int, title: str, camera: Path | None) -> None:
     from warpdef.apps.viewer.player import Player
-    from warpdef.apps.viewer.scene import Scene
     from warpdef.apps.viewer.window import Window
 
     with clean_stdout():
-        scene = Scene(content, off_screen=False, size=size, look=look, stand=stand)
         try:
-            player = Player(len(content), fps, frame)
-            window = Window(scene, player, Path.cwd(), say)
+            player = Player(len(scene.content), fps, frame)
+            window = Window(scene, player, Path.cwd(), say, camera)
             window.open(f"warpdef: {title}")
             say("warpdef: h in the window lists the keys")
             window.play()

@@ -7,7 +7,7 @@ import pytest
 
 from warpdef.apps.viewer.bars import round_length
 from warpdef.apps.viewer.camera import VIEW_ANGLE, Room, Stand, camera_axes, fit_camera, seen_aspect
-from warpdef.apps.viewer.captions import frame_title, room_for
+from warpdef.apps.viewer.captions import room_for
 from warpdef.apps.viewer.content import Content, Pane
 from warpdef.apps.viewer.flat import CHARACTER, shortened
 from warpdef.apps.viewer.scales import Scales, color_map
@@ -100,7 +100,6 @@ def test_long_lines_lose_their_middle():
     assert shortened("short", 1000.0, 10.0) == "short"
     text = shortened("a very long name of a scan that nobody reads.ply", 130.0, 10.0)
     assert len(text) <= 130.0 / (10.0 * CHARACTER) and text.startswith("a very") and text.endswith(".ply")
-    assert frame_title(12, 17, "scan12.ply") == "frame 12 of 17 (0 to 16): scan12.ply"
 
 
 def moved(*shifts: float) -> Pane:

@@ -14,6 +14,7 @@ from warpdef.apps.main import run
 from warpdef.apps.viewer import probe as view_probe
 from warpdef.apps.viewer.actors import Look
 from warpdef.apps.viewer.camera import Stand, pixels_per_length
+from warpdef.apps.viewer.camera_file import save_camera
 from warpdef.apps.viewer.content import Content, Pane, load_content
 from warpdef.apps.viewer.scene import Scene
 from warpdef.mesh import MeshSequence
@@ -173,7 +174,7 @@ def test_the_scale_bar_is_as_long_as_it_says(out):
     made = Scene(load_content(out, unit="m"), off_screen=True, size=(400, 300), look=Look("plain", scale_bar=True))
     try:
         label = made.captions.scale_bar.label
-        dark = (made.picture() < 60).all(axis=2)
+        dark = np.all(made.picture() < 60, axis=2)
         made.plotter.renderers[0].camera.zoom(1.0)
         camera = made.plotter.renderers[0].camera
         per_length = pixels_per_length(camera.distance, 300)
@@ -230,6 +231,25 @@ def test_several_outputs_at_once(out, tmp_path):
 
 def scene(out: Path, **look) -> Scene:
     return Scene(load_content(out), off_screen=True, size=(160, 120), look=Look(**look))
+
+
+def test_a_kept_camera_sees_the_same_again(out, tmp_path):
+    made = scene(out, color="plain")
+    try:
+        made.plotter.renderers[0].camera.azimuth += 60.0
+        made.show(0)
+        seen = made.picture().astype(int)
+        save_camera(tmp_path / "c.json", made.camera, made.content.origin)
+    finally:
+        made.close()
+    assert run(["view", str(out), "--camera", str(tmp_path / "c.json"), "--color", "plain", "--screenshot",
+                str(tmp_path / "b.png"), *SIZE]) == 0  # fmt: skip
+    assert differs(picture(tmp_path / "b.png"), seen) < 0.001 < differs(shot_usual(tmp_path, out), seen)
+
+
+def shot_usual(folder: Path, out: Path) -> np.ndarray:
+    assert run(["view", str(out), "--color", "plain", "--screenshot", str(folder / "u.png"), *SIZE]) == 0
+    return picture(folder / "u.png")
 
 
 def test_one_actor_is_moved_not_rebuilt(out):

@@ -23,7 +23,9 @@ from pathlib import Path
 import numpy as np
 from warpdef.apps.viewer.content import load_content
 from warpdef.apps.viewer.player import Player
+from warpdef.apps.viewer.flat import letter_size
 from warpdef.apps.viewer.scene import Scene
+from warpdef.apps.viewer.timeline import SLIDER_AT
 from warpdef.apps.viewer.window import KEYS, Window
 
 out, folder = Path(sys.argv[1]), Path(sys.argv[2])
@@ -41,7 +43,8 @@ def press(key):
 def state():
     look = scene.look
     return [player.frame, player.playing, player.loop, player.speed, look.color, look.cloud, look.trajectories,
-            look.wireframe, look.smooth, list(scene.plotter.renderers[0].camera.position), scene.frame, window._helping]
+            look.wireframe, look.smooth, look.scale_bar, list(scene.plotter.renderers[0].camera.position),
+            scene.frame, window._helping]
 
 window.spin(time.monotonic())
 seen = {}
@@ -62,6 +65,22 @@ slider.SetValue(3.0)
 window._slider.InvokeEvent("InteractionEvent")
 window.spin(time.monotonic())
 slid = [player.frame, scene.frame]
+interactor.SetEventInformation(int(0.2 * 400 + 0.6 * 400 * 3 / 4), round(SLIDER_AT * letter_size(300)))
+interactor.InvokeEvent("LeftButtonPressEvent")
+interactor.SetEventInformation(int(0.2 * 400), round(SLIDER_AT * letter_size(300)))
+interactor.InvokeEvent("MouseMoveEvent")
+interactor.InvokeEvent("LeftButtonReleaseEvent")
+window.spin(time.monotonic())
+dragged = [player.frame, scene.frame]
+scene.look.color = "displacement"
+scene.place_camera()
+scene.refresh()
+read = []
+for at in ((200, 190), (2, 290)):
+    interactor.SetEventInformation(*at)
+    interactor.InvokeEvent("MouseMoveEvent")
+    window.spin(time.monotonic())
+    read.append(scene.captions.reading)
 player.go(0, time.monotonic())
 window.play()
 end = time.monotonic() + 1.0
@@ -70,7 +89,8 @@ played = player.frame
 press("q")
 window.run()
 scene.close()
-print(json.dumps({"seen": seen, "colours": colours, "slid": slid, "played": played, "told": told,
+print(json.dumps({"seen": seen, "colours": colours, "slid": slid, "dragged": dragged, "read": read,
+                  "number": scene.captions.timeline.words[0], "played": played, "told": told,
                   "open": window.is_open, "window": type(scene).__name__}))
 """
 
@@ -112,7 +132,7 @@ def test_each_key_in_a_real_window(tmp_path, out, display):
     done = subprocess.run(arguments, env=display, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
-    names = "frame playing loop speed color cloud trajectories wireframe smooth camera shown helping".split()
+    names = "frame playing loop speed color cloud trajectories wireframe smooth scale camera shown helping".split()
     changes = {
         name: {n: (b, a) for n, b, a in zip(names, before, after, strict=True) if b != a and n != "camera"}
         for name, (before, after, _) in found["seen"].items()
@@ -120,8 +140,8 @@ def test_each_key_in_a_real_window(tmp_path, out, display):
     assert changes["play"] == {"playing": (False, True)}
     assert changes["forward"]["playing"] == (True, False)
     assert changes["back"]["frame"][0] - changes["back"]["frame"][1] in (1, -4)
-    assert found["seen"]["first"][1][0] == 0 == found["seen"]["first"][1][10]
-    assert found["seen"]["last"][1][0] == 4 == found["seen"]["last"][1][10]
+    assert found["seen"]["first"][1][0] == 0 == found["seen"]["first"][1][11]
+    assert found["seen"]["last"][1][0] == 4 == found["seen"]["last"][1][11]
     assert changes["faster"] == {"speed": (1.0, 2.0)} and changes["slower"] == {"speed": (2.0, 1.0)}
     assert changes["loop"] == {"loop": (True, False)}
     assert changes["colour"] == {"color": ("template", "plain")}
@@ -129,14 +149,20 @@ def test_each_key_in_a_real_window(tmp_path, out, display):
     assert changes["trajectories"] == {"trajectories": (False, True)}
     assert changes["wireframe"] == {"wireframe": (False, True)}
     assert changes["smooth"] == {"smooth": (True, False)}
-    assert changes["camera"] == {} and found["seen"]["camera"][1][9] != [1.0, 2.0, 9.0]
+    assert changes["scale"] == {"scale": (False, True)}
+    assert changes["camera"] == {} and found["seen"]["camera"][1][10] != [1.0, 2.0, 9.0]
     assert changes["help"] == {"helping": (False, True)}
     for name in ("last", "colour", "cloud", "wireframe", "help", "camera"):
         assert found["seen"][name][2] > 0.001, name
-    assert [p.name for p in (tmp_path / "pictures").iterdir()] == ["warpdef-001.png"]
-    assert len(found["told"]) == 1 and "warpdef-001.png" in found["told"][0]
+    kept = ["warpdef-001.png", "warpdef-camera-001.json"]
+    assert sorted(p.name for p in (tmp_path / "pictures").iterdir()) == kept
+    assert [name in "".join(found["told"]) for name in kept] == [True, True] and len(found["told"]) == 2
+    assert json.loads((tmp_path / "pictures" / kept[1]).read_text())["position"] == [1.0, 2.0, 9.0]
     assert found["colours"] == ["error", "stretch", "displacement", "template", "plain", "error"]
     assert found["slid"] == [3, 3]
+    assert found["dragged"] == [0, 0]
+    there, nowhere = found["read"]
+    assert "input units, vertex" in there and nowhere == ""
     assert found["played"] == 4  # a second at 12 frames a second, without loop
     assert found["open"] is False
 

@@ -40,12 +40,14 @@ class Room:
 
 @dataclass(frozen=True)
 class Camera:
-    """position, focus: points in input units (3,); up: unit vector (3,); distance: between the two points."""
+    """position, focus: points in input units (3,); up: unit vector (3,); distance: between the two points; lift: how
+    far the focus is above the picture's middle, in halves of its height."""
 
     position: np.ndarray
     focus: np.ndarray
     up: np.ndarray
     distance: float
+    lift: float = 0.0
 
 
 def camera_axes(up: str, azimuth: float, elevation: float = ELEVATION) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -110,7 +112,20 @@ def fit_camera(
     distance = (distance or 1.0) / stand.zoom
     right, above, back = camera_axes(up, stand.azimuth + turn, stand.elevation)
     focus = centre + aside[0] * right + aside[1] * above
-    return Camera(focus + distance * back, focus, above, distance)
+    return Camera(focus + distance * back, focus, above, distance, room.lift)
+
+
+def turned(camera: Camera, up: str, degrees: float) -> Camera:
+    """The camera gone around its focus, about the axis that points up."""
+    import numpy as np
+
+    a = math.radians(degrees)
+    turn = np.array([[math.cos(a), 0.0, math.sin(a)], [0.0, 1.0, 0.0], [-math.sin(a), 0.0, math.cos(a)]])
+    if up == "z":
+        swap = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # z up to y up
+        turn = swap.T @ turn @ swap
+    position = camera.focus + turn @ (camera.position - camera.focus)
+    return Camera(position, camera.focus, turn @ camera.up, camera.distance, camera.lift)
 
 
 def pixels_per_length(distance: float, height: int) -> float:

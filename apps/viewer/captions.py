@@ -6,7 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from warpdef.apps.viewer.bars import BAR, SCALE_BAR, ColorBar, ScaleBar
 from warpdef.apps.viewer.camera import Room
-from warpdef.apps.viewer.flat import Text, letter_size, shortened
+from warpdef.apps.viewer.flat import TEXT_COLOR, Text, letter_size, shortened
+from warpdef.apps.viewer.judged import COLORS
+from warpdef.apps.viewer.timeline import Timeline
+from warpdef.quality.verdict import GOOD
 
 if TYPE_CHECKING:
     from warpdef.apps.viewer.content import Content, Pane
@@ -15,8 +18,8 @@ if TYPE_CHECKING:
 LINE = 1.3
 """Height of a line, in letters' sizes, as all heights here."""
 TITLE_LINES = 2
-SLIDER = 5.0
-"""Height below the bar that a window's slider takes."""
+SLIDER = 4.8
+"""Height below the bar that a window's slider takes, and the strip under it."""
 _EDGE = 0.5
 
 
@@ -37,9 +40,11 @@ def tile_letter_size(height: int) -> float:
     return min(max(height / 20.0, 11.0), 60.0)
 
 
-def frame_title(frame: int, count: int, name: str) -> str:
-    """Which frame it is, of how many, and what it is called."""
-    return f"frame {frame} of {count} (0 to {count - 1}): {name}"
+def frame_title(content: Content, frame: int) -> str:
+    """Which frame it is, of how many, what it is called, and the verdict on it."""
+    count = len(content)
+    verdict = "" if content.judged is None else f" ({content.judged[frame].words})"
+    return f"frame {frame} of {count} (0 to {count - 1}): {content.names[frame]}{verdict}"
 
 
 def overlay(plotter: Any) -> Any:
@@ -60,9 +65,10 @@ class Captions:
 
     def __init__(self, plotter: Any) -> None:
         self._titles = [Text(renderer) for renderer in plotter.renderers]
-        over = overlay(plotter)
+        self.over = over = overlay(plotter)
+        """What is drawn over all panes."""
         self.bar, self.scale_bar = ColorBar(over), ScaleBar(over)
-        self._reading = Text(over, "right")
+        self.timeline, self._reading = Timeline(over), Text(over, "right")
 
     def put(
         self, content: Content, scales: Scales, color: str, frame: int, size: tuple[int, int], *, slider: bool = False
@@ -71,7 +77,7 @@ class Captions:
         width, height = size
         letters = letter_size(height)
         pane_width = width / len(content.panes)
-        frame_line = frame_title(frame, len(content), content.names[frame])
+        frame_line = frame_title(content, frame)
         for index, (pane, text) in enumerate(zip(content.panes, self._titles, strict=True)):
             lines = [pane_title(pane, color), "" if index else frame_line]
             words = "\n".join(shortened(line, pane_width - letters, letters) for line in lines)
@@ -81,6 +87,8 @@ class Captions:
             self.bar.put(scales, color, content.unit, [frame], size, letters, below)
         else:
             self.bar.hide()
+        if slider and len(content) > 1:
+            self.timeline.put(content.judged, frame, len(content), size, letters)
 
     def put_on_tile(self, content: Content, frame: int, size: tuple[int, int]) -> None:
         """The frame's number, and the panes' titles where there are several."""
@@ -88,6 +96,11 @@ class Captions:
         pane_width, letters = width / len(content.panes), tile_letter_size(height)
         for index, (pane, text) in enumerate(zip(content.panes, self._titles, strict=True)):
             words = "" if index else f"frame {frame}"
+            if not index and content.judged is not None and (verdict := content.judged[frame].verdict) != GOOD:
+                words += f", {verdict}"
+                text.set_color(COLORS[verdict])
+            else:
+                text.set_color(TEXT_COLOR)
             if len(content.panes) > 1:
                 words += f"{', ' if words else ''}{pane.title}"
             place = (0.4 * letters / pane_width, 1.0 - 0.3 * letters / height)
@@ -104,10 +117,11 @@ class Captions:
         self.scale_bar.put(pixels, content.unit, size, letters, below, min(0.14 * size[0], 0.4 * pane_width))
 
     def put_reading(self, words: str, size: tuple[int, int]) -> None:
-        """What is under the mouse, in the second line's right corner."""
+        """What is under the mouse, in the right corner: in the first line, or below the titles of several panes."""
         letters = letter_size(size[1])
         words = shortened(words, 0.7 * size[0], letters)
-        self._reading.put(words, (1.0 - 0.5 * letters / size[0], 1.0 - (0.4 + LINE) * letters / size[1]), letters)
+        above = 0.4 + (LINE if len(self._titles) > 1 else 0.0)
+        self._reading.put(words, (1.0 - 0.5 * letters / size[0], 1.0 - above * letters / size[1]), letters)
 
     @property
     def reading(self) -> str:

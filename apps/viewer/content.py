@@ -12,6 +12,7 @@ from warpdef.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
+    from warpdef.apps.viewer.judged import Judged
     from warpdef.mesh import MeshSequence, TriMesh
     from warpdef.vertex_measures import VertexMeasures
 
@@ -67,6 +68,7 @@ class Content:
     up:    the axis that points up        "y" or "z"
     unit:  what lengths are given in
     origin: what was taken off all places   (3,)
+    judged: what the report of the first result says of the frames; None: nothing
     bounds: low and high corner of all frames
     outline: places that the camera is to see: the utmost and some of the others     (N, 3)
 
@@ -77,7 +79,8 @@ class Content:
     names: tuple[str, ...]
     up: str = "y"
     unit: str = "input units"
-    origin: np.ndarray | None = None
+    origin: np.ndarray = field(default_factory=lambda: _nowhere())
+    judged: list[Judged] | None = None
     bounds: tuple[np.ndarray, np.ndarray] = field(init=False)
     outline: np.ndarray = field(init=False)
 
@@ -110,6 +113,12 @@ class Content:
         return list(dict.fromkeys(name for names in found for name in names))
 
 
+def _nowhere() -> np.ndarray:
+    import numpy as np
+
+    return np.zeros(3)
+
+
 def load_content(
     output: Path,
     *,
@@ -136,6 +145,7 @@ def load_content(
     Raises:
         InputError: something is missing or damaged, or numbers of frames do not fit.
     """
+    from warpdef.apps.viewer.judged import judged_frames
     from warpdef.config_values import parse_slice
     from warpdef.export.origin import choose_origin
     from warpdef.files import read_clouds, read_mesh_frames, same_triangles
@@ -172,7 +182,7 @@ def load_content(
         if points is not None:
             panes.insert(0, Pane("input", clouds=points))
     names = tuple(run.names[t] for t in chosen)
-    return Content(panes, names, up, unit, origin)
+    return Content(panes, names, up, unit, origin, judged_frames(run.report, chosen, len(run.meshes)))
 
 
 def _without_strays(points: np.ndarray) -> np.ndarray:

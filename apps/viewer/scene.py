@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 from warpdef.apps.viewer.actors import CloudActor, Look, SurfaceActor
 from warpdef.apps.viewer.bars import BAR, SCALE_BAR, ColorBar, ScaleBar
-from warpdef.apps.viewer.camera import VIEW_ANGLE, Room, Stand, fit_camera, pixels_per_length, seen_aspect
+from warpdef.apps.viewer.camera import (
+    VIEW_ANGLE,
+    Camera,
+    Room,
+    Stand,
+    fit_camera,
+    pixels_per_length,
+    seen_aspect,
+    turned,
+)
 from warpdef.apps.viewer.captions import Captions, room_for, tile_letter_size
 from warpdef.apps.viewer.flat import TEXT_COLOR
 from warpdef.apps.viewer.scales import Scales
@@ -36,7 +45,9 @@ class Scene:
         size: tuple[int, int],
         look: Look | None = None,
         stand: Stand | None = None,
+        camera: Camera | None = None,
     ) -> None:
+        """Args: camera: stand there, not where the whole motion is seen from ``stand``."""
         import pyvista
         from vtkmodules.vtkCommonCore import vtkLogger
 
@@ -45,6 +56,7 @@ class Scene:
         self.content = content
         self.look = look or Look()
         self.stand = stand or Stand()
+        self._kept = camera
         self.frame = 0
         self.tile = False
         """Whether this is a tile of a contact sheet, with its frame's number and no bar."""
@@ -74,26 +86,65 @@ class Scene:
     def place_camera(self, turn: float = 0.0, all_round: bool = False) -> None:
         """Stand where the whole motion is seen, ``turn`` degrees about the up axis from the usual place."""
         width, height = self.plotter.window_size
-        room = self.room(height)
-        placed = fit_camera(
-            self.content.outline,
-            self.content.up,
-            width / len(self.content.panes) / height,
-            stand=self.stand,
-            room=room,
-            turn=turn,
-            all_round=all_round,
-        )
+        if self._kept is not None:
+            placed = turned(self._kept, self.content.up, turn)
+        else:
+            placed = fit_camera(
+                self.content.outline,
+                self.content.up,
+                width / len(self.content.panes) / height,
+                stand=self.stand,
+                room=self.room(height),
+                turn=turn,
+                all_round=all_round,
+            )
         for renderer in self.plotter.renderers:
             camera = renderer.camera
             camera.view_angle = VIEW_ANGLE
-            camera.SetWindowCenter(0.0, -room.lift)
+            camera.SetWindowCenter(0.0, -placed.lift)
             camera.position, camera.focal_point, camera.up = placed.position, placed.focus, placed.up
             renderer.camera_set = True
             renderer.ResetCameraClippingRange()
         for cloud in self.clouds:
             if cloud is not None:
                 cloud.size_points(pixels_per_length(placed.distance, height))
+
+    @property
+    def camera(self) -> Camera:
+        """Where the camera stands now, wherever the mouse has brought it."""
+        import numpy as np
+
+        now = self.plotter.renderers[0].camera
+        position, focus, up = (np.array(x, dtype=float) for x in (now.position, now.focal_point, now.up))
+        return Camera(position, focus, up, float(np.linalg.norm(position - focus)), -now.GetWindowCenter()[1])
+
+    def read(self, x: int, y: int) -> bool:
+        """Say what is under that pixel of the window, counted from its lower left; returns whether the words are new.
+
+        Nothing is said outside the surfaces, and with a negative place.
+        """
+        said = self.captions.reading
+        self.captions.put_reading(self._reading(x, y), tuple(self.plotter.window_size))
+        return self.captions.reading != said
+
+    def _reading(self, x: int, y: int) -> str:
+        import numpy as np
+        from vtkmodules.vtkRenderingCore import vtkCellPicker
+
+        from warpdef.apps.viewer.reading import reading
+
+        for pane, surface, renderer in zip(self.content.panes, self.surfaces, self.plotter.renderers, strict=True):
+            if surface is None or not renderer.IsInViewport(x, y):
+                continue
+            picker = vtkCellPicker()
+            picker.SetTolerance(0.0)
+            picker.PickFromListOn()
+            picker.AddPickList(surface.actor)
+            if picker.Pick(x, y, 0.0, renderer):
+                r, s, _ = picker.GetPCoords()
+                weights = np.array([1.0 - r - s, r, s])
+                return reading(self.content, pane, self.frame, self.look.color, picker.GetCellId(), weights)
+        return ""
 
     def room(self, height: int) -> Room:
         """What is left for the motion in a picture of that height; in a window the bar's place is always kept."""

@@ -19,7 +19,7 @@ def contact_sheet(scene: Scene, count: int, size: tuple[int, int]) -> np.ndarray
     """``count`` frames in rows, each tile as large as ``size`` (width, height) holds; (height, width, 3 or 4) uint8."""
     import numpy as np
 
-    content = scene.content
+    content, before = scene.content, list(scene.plotter.window_size)
     frames = sheet_frames(len(content), count)
     scene.tile = True
     scene.plotter.window_size = list(tile_size(scene.seen_aspect(size[1]) * len(content.panes), size))
@@ -35,6 +35,10 @@ def contact_sheet(scene: Scene, count: int, size: tuple[int, int]) -> np.ndarray
     rows[-1] = rows[-1] + [blank] * (columns - len(rows[-1]))
     sheet = np.concatenate([np.concatenate(row, axis=1) for row in rows])
     foot = scene.foot(frames, sheet.shape[1], height)
+    # What comes after it may be a movie of the same scene.
+    scene.tile, scene.plotter.window_size = False, before
+    scene.place_camera()
+    scene.refresh()
     return sheet if foot is None else np.concatenate([sheet, foot])
 
 

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from warpdef.apps.viewer.actors import MATERIAL, PLAIN
+from warpdef.apps.viewer.flat import TEXT_COLOR, letter_size
 from warpdef.apps.viewer.movie import save_picture
 from warpdef.apps.viewer.player import Player
 from warpdef.apps.viewer.scene import Scene
+from warpdef.apps.viewer.timeline import LEFT, RIGHT, SLIDER_AT
 
 _IDLE_SECONDS = 0.01
 
@@ -29,6 +31,8 @@ KEYS = (
     ("w", "w", "wireframe", "wireframe"),
     ("s", "s", "smooth or flat", "smooth"),
     ("r", "r", "camera to its place", "camera"),
+    ("b", "b", "scale bar", "scale"),
+    ("k", "k", "keep the camera in a file", "keep"),
     ("x", "x", "save a picture", "picture"),
     ("h", "h", "this help", "help"),
     ("q", "q", "quit", "quit"),
@@ -41,10 +45,13 @@ HELP = "\n".join(f"{shown:>6}  {what}" for _, shown, what, _ in KEYS) + "\n\ndra
 class Window:
     """A scene with a player, driven by keys; ``run`` returns when it is closed."""
 
-    def __init__(self, scene: Scene, player: Player, folder: Path, say: Callable[[str], None]) -> None:
-        """Args: folder: where pictures go. say: told what happened, in a line."""
+    def __init__(
+        self, scene: Scene, player: Player, folder: Path, say: Callable[[str], None], camera: Path | None = None
+    ) -> None:
+        """Args: folder: where pictures go. say: told what happened, in a line. camera: where that is kept."""
         self.scene, self.player = scene, player
-        self._folder, self._say = folder, say
+        self._folder, self._say, self._camera = folder, say, camera
+        self._pointer, self._read, self._size = (-1, -1), (-1, -1, -1), (0, 0)
         self._open, self._dirty, self._helping = True, True, False
         self._actions = {key: getattr(self, name) for key, _, _, name in KEYS}
         self._slider: Any = None
@@ -59,21 +66,32 @@ class Window:
                 self._slid,
                 rng=(0, self.player.count - 1),
                 value=self.player.frame,
-                pointa=(0.2, 0.045),
-                pointb=(0.8, 0.045),
-                fmt="%.0f",
+                pointa=(LEFT, 0.05),
+                pointb=(RIGHT, 0.05),
                 title_height=0.02,
                 slider_width=0.02,
                 tube_width=0.006,
-                color="#20242c",
+                color=TEXT_COLOR,
                 interaction_event="always",
             )
+            # The number stands beside it, clear of the bar above.
+            drawn = self._slider.GetRepresentation()
+            drawn.ShowSliderLabelOff()
+            drawn.SetSliderLength(0.014)
+            drawn.SetEndCapLength(0.004)
+            drawn.SetEndCapWidth(0.014)
+            # Over all panes, not in the first.
+            self._slider.EnabledOff()
+            self._slider.SetDefaultRenderer(self.scene.captions.over)
+            self._slider.SetCurrentRenderer(self.scene.captions.over)
+            self._slider.EnabledOn()
         plotter.title = title
         plotter.show(interactive_update=True, auto_close=False)
         plotter.iren.clear_key_event_callbacks()
         # With an observer of its own the style no longer acts on keys: its w, s, p, e would collide with ours.
         interactor.GetInteractorStyle().AddObserver("CharEvent", lambda *_: None)
         interactor.AddObserver("KeyPressEvent", self._pressed)
+        interactor.AddObserver("MouseMoveEvent", self._moved)
         interactor.AddObserver("ExitEvent", lambda *_: self.quit())
         self.scene.place_camera()
 
@@ -89,7 +107,12 @@ class Window:
         if not self._open:
             return False
         changed = self.player.tick(now)
-        if not (changed or self._dirty or self.player.frame != self.scene.frame):
+        size = tuple(self.scene.plotter.window_size)
+        if size != self._size:
+            self._size, self._dirty = size, True
+            self._place_slider()
+        read = self._read_pointer()
+        if not (changed or read or self._dirty or self.player.frame != self.scene.frame):
             return False
         self._dirty = False
         self.scene.show(self.player.frame)
@@ -97,6 +120,23 @@ class Window:
             self._slider.GetRepresentation().SetValue(self.player.frame)
         self.scene.plotter.render()
         return True
+
+    def _place_slider(self) -> None:
+        """Above the strip, however high the window is."""
+        if self._slider is None:
+            return
+        drawn, height = self._slider.GetRepresentation(), SLIDER_AT * letter_size(self._size[1]) / self._size[1]
+        drawn.GetPoint1Coordinate().SetValue(LEFT, height)
+        drawn.GetPoint2Coordinate().SetValue(RIGHT, height)
+        drawn.Modified()  # its ends are not counted as its own
+
+    def _read_pointer(self) -> bool:
+        """Say what is under the mouse, where it or the frame is another one; while it plays there is no time for it."""
+        wanted = (-1, -1, -1) if self.player.playing else (*self._pointer, self.scene.frame)
+        if wanted == self._read:
+            return False
+        self._read = wanted
+        return self.scene.read(*wanted[:2])
 
     def redraw(self) -> None:
         """Draw at the next ``spin``, whatever it finds."""
@@ -116,6 +156,9 @@ class Window:
 
     def _pressed(self, interactor: Any, _event: str) -> None:
         self.press(interactor.GetKeySym() or "")
+
+    def _moved(self, interactor: Any, _event: str) -> None:
+        self._pointer = tuple(interactor.GetEventPosition())
 
     def _slid(self, value: float) -> None:
         if round(value) != self.player.frame:
@@ -166,13 +209,28 @@ class Window:
     def camera(self) -> None:
         self.scene.place_camera()
 
+    def scale(self) -> None:
+        self.scene.look.scale_bar = not self.scene.look.scale_bar
+
+    def keep(self) -> None:
+        """Write where the camera stands to the file that was named, or to the next free name beside the pictures."""
+        from warpdef.apps.viewer.camera_file import save_camera
+
+        path = self._camera or self._free("warpdef-camera-{:03d}.json")
+        save_camera(path, self.scene.camera, self.scene.content.origin)
+        self._say(f"camera: {path} (--camera {path} looks from there again)")
+
     def picture(self) -> None:
         """Save what is seen beside where the program was started, under the next free name."""
-        number = 1
-        while (path := self._folder / f"warpdef-{number:03d}.png").exists():
-            number += 1
+        path = self._free("warpdef-{:03d}.png")
         save_picture(self.scene.picture(), path)
         self._say(f"picture: {path}")
+
+    def _free(self, name: str) -> Path:
+        number = 1
+        while (path := self._folder / name.format(number)).exists():
+            number += 1
+        return path
 
     def help(self) -> None:
         self._helping = not self._helping
