@@ -195,7 +195,7 @@ function drawPane(pane, x, y, width, height, scale) {
     gl.uniform1f(U.mixing, mixing);
     [now, next].forEach((t, i) => {
       attribute(i, pane.rows, 4, gl.UNSIGNED_SHORT, true, 8 * t * pane.count);
-      attribute(2 + i, pane.normals, 3, gl.BYTE, true, 4 * t * pane.count);
+      attribute(2 + i, pane.normals, 4, gl.BYTE, true, 4 * t * pane.count);
     });
     attribute(4, pane.colors, 4, gl.UNSIGNED_BYTE, true, 0);
     gl.uniform1i(U.kind, pane.measured ? 2 : pane.colors ? 1 : 0);
