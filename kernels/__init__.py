@@ -3,7 +3,7 @@
 A room a file, in the order in which an iteration goes through them:
 
     launching, sizes        how a launch runs or is recorded, and what it asks of its arguments, once
-    ways, blocks            which way work goes on a device: in spans, or whole; threads that share a system
+    ways, blocks, clusters  which way work goes on a device: in spans, or whole; threads that share a system
     warp_sums               what many threads add to few places, added up first
     levels, trilinear       where grid nodes lie; what they say at a point
     cayley, motion, chains  rotations; clouds and vertices moved by the grids, and back; in all transitions at once

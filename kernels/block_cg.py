@@ -1,24 +1,27 @@
 """Conjugate gradients for (A + beta I + alpha L) d = b with a 3x3 block A_i at every vertex of every frame.
 
 The blocks come from point-to-plane residuals, L = D - A_mesh from rigidity. Preconditioned by the inverse of each
-diagonal block A_i + (beta + alpha degree) I. Frames are independent systems over the same mesh, each a block of threads
-that stops as soon as it is done; residuals are told and restarted from as in ``cg``. The operator is symmetric.
+diagonal block A_i + (beta + alpha degree) I. Frames are independent systems over the same mesh, each a block or cluster
+(``clusters``) that stops as soon as it is done; residuals are told and restarted from as in ``cg``. The operator is
+symmetric.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from warpdef.kernels.blocks import block_options, block_sum, lane, lanes, wait
+from warpdef.kernels.blocks import block_options
 from warpdef.kernels.cg_functions import check_limits, ratio, worth_going_on
+from warpdef.kernels.clusters import CLUSTER, PARTIAL, cluster_lane, cluster_lanes, cluster_sum, cluster_wait
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.sizes import sizes
-from warpdef.kernels.ways import lanes_of
+from warpdef.kernels.ways import cluster_of, lanes_of
 
 wp.set_module_options(MODULE_OPTIONS)
 
-_LANES = 640  # as many as have registers for what each needs
+BLOCK_LANES = 256
+"""Of a block of the cluster that a frame has."""
 
 
 @wp.func
@@ -46,8 +49,11 @@ def apply_block_row(
     return total
 
 
-@sizes("threads iterations_out residual_out: T; row: V+1; column: E; matrix rhs inverse r p ap solution_out: T V")
-@wp.kernel(**block_options(_LANES))
+@sizes(
+    "threads iterations_out residual_out: T; row: V+1; column: E; matrix rhs inverse r p ap solution_out: T V; "
+    f"partial: T {PARTIAL}"
+)
+@wp.kernel(**block_options(BLOCK_LANES, CLUSTER))
 def _solve_frames(
     # In:
     begin: int,
@@ -59,22 +65,23 @@ def _solve_frames(
     rhs: wp.array2d[wp.vec3],
     tolerance: float,
     iterations_max: int,
-    # In and out: scratch
+    # In and out: scratch, and what blocks of a cluster leave for one another
     inverse: wp.array2d[wp.mat33],
     r: wp.array2d[wp.vec3],
     p: wp.array2d[wp.vec3],
     ap: wp.array2d[wp.vec3],
+    partial: wp.array2d[wp.vec3],
     # Out:
     solution_out: wp.array2d[wp.vec3],
     iterations_out: wp.array[wp.int32],
     residual_out: wp.array[wp.float32],
 ):
-    """One block a frame, from zero."""
-    t = begin + wp.tid() // lanes()
+    """One block or cluster a frame, from zero."""
+    t = begin + wp.tid() // cluster_lanes()
     count = rhs.shape[1]
     b_sq = float(0.0)
     rz = float(0.0)
-    for i in range(lane(), count, lanes()):
+    for i in range(cluster_lane(), count, cluster_lanes()):
         b = rhs[t, i]
         inverse[t, i] = wp.inverse(diagonal_block(matrix[t, i], row[i + 1] - row[i], alpha, beta))
         z = inverse[t, i] * b
@@ -83,7 +90,7 @@ def _solve_frames(
         p[t, i] = z
         b_sq += wp.length_sq(b)
         rz += wp.dot(b, z)
-    sums = block_sum(wp.vec3(b_sq, rz, 0.0))
+    sums = cluster_sum(wp.vec3(b_sq, rz, 0.0), t, 2, partial)
     b_sq = sums[0]
     rz = sums[1]
     r_sq = b_sq
@@ -94,47 +101,47 @@ def _solve_frames(
         begun = done
         while done < iterations_max and r_sq > tolerance * tolerance * b_sq:
             p_ap = float(0.0)
-            for i in range(lane(), count, lanes()):
+            for i in range(cluster_lane(), count, cluster_lanes()):
                 v = apply_block_row(t, i, alpha, beta, row, column, matrix, p)
                 ap[t, i] = v
                 p_ap += wp.dot(p[t, i], v)
-            sums = block_sum(wp.vec3(p_ap, 0.0, 0.0))
+            sums = cluster_sum(wp.vec3(p_ap, 0.0, 0.0), t, 0, partial)
             step = ratio(rz, sums[0])
             r_sq = float(0.0)
             next_rz = float(0.0)
-            for i in range(lane(), count, lanes()):
+            for i in range(cluster_lane(), count, cluster_lanes()):
                 solution_out[t, i] = solution_out[t, i] + step * p[t, i]
                 v = r[t, i] - step * ap[t, i]
                 r[t, i] = v
                 r_sq += wp.length_sq(v)
                 next_rz += wp.dot(v, inverse[t, i] * v)
-            sums = block_sum(wp.vec3(r_sq, next_rz, 0.0))
+            sums = cluster_sum(wp.vec3(r_sq, next_rz, 0.0), t, 1, partial)
             r_sq = sums[0]
             turn = ratio(sums[1], rz)
             rz = sums[1]
-            for i in range(lane(), count, lanes()):
+            for i in range(cluster_lane(), count, cluster_lanes()):
                 p[t, i] = inverse[t, i] * r[t, i] + turn * p[t, i]
-            wait()
+            cluster_wait()
             done = done + 1
         going = 0
         if done > begun:
             r_sq = float(0.0)
             rz = float(0.0)
-            for i in range(lane(), count, lanes()):
+            for i in range(cluster_lane(), count, cluster_lanes()):
                 v = rhs[t, i] - apply_block_row(t, i, alpha, beta, row, column, matrix, solution_out)
                 z = inverse[t, i] * v
                 r[t, i] = v
                 p[t, i] = z
                 r_sq += wp.length_sq(v)
                 rz += wp.dot(v, z)
-            sums = block_sum(wp.vec3(r_sq, rz, 0.0))
+            sums = cluster_sum(wp.vec3(r_sq, rz, 0.0), t, 2, partial)
             r_sq = sums[0]
             rz = sums[1]
             worst = ratio(r_sq, b_sq)
             if done < iterations_max and worth_going_on(worst, known, tolerance):
                 going = 1
             known = worst
-    if lane() == 0:
+    if cluster_lane() == 0:
         iterations_out[t] = done
         residual_out[t] = wp.sqrt(ratio(r_sq, b_sq))
 
@@ -169,7 +176,8 @@ class BlockSolver:
         self._r, self._p, self._ap = (wp.zeros(shape, dtype=wp.vec3, device=device) for _ in range(3))
         self.iterations = wp.zeros(frame_count, dtype=wp.int32, device=device)
         self.residual = wp.zeros(frame_count, dtype=wp.float32, device=device)
-        self._lanes = lanes_of(device, _LANES)
+        self._team = lanes_of(device, BLOCK_LANES), cluster_of(device, CLUSTER)
+        self._partial = wp.zeros((frame_count, PARTIAL), dtype=wp.vec3, device=device)
 
     def solve(
         self, first: int, last: int, alpha: float, beta: float, matrix: wp.array, rhs: wp.array,
@@ -182,6 +190,6 @@ class BlockSolver:
             rhs, solution_out: shape (T, V) vec3.
         """
         system = [alpha, beta, self._row, self._column, matrix, rhs, *self._limits]
-        work = [self._inverse, self._r, self._p, self._ap]
+        work = [self._inverse, self._r, self._p, self._ap, self._partial]
         results = [solution_out, self.iterations, self.residual]
-        launch(_solve_frames, last - first, [first, *system, *work, *results], self._device, self._lanes)
+        launch(_solve_frames, last - first, [first, *system, *work, *results], self._device, *self._team)

@@ -24,9 +24,10 @@ from warpdef.kernels.ways import LANES
 wp.set_module_options(MODULE_OPTIONS)
 
 
-def block_options(lanes: int = LANES) -> dict[str, Any]:
-    """Of a kernel for blocks of so many lanes: its module, and registers for as many."""
-    return {"module": "unique", "launch_bounds": (lanes, 1), "module_options": MODULE_OPTIONS | {"block_dim": lanes}}
+def block_options(lanes: int = LANES, cluster: int = 1) -> dict[str, Any]:
+    """Of a kernel for blocks of so many lanes: its module, and registers for as many; blocks of a cluster."""
+    options = {"module": "unique", "launch_bounds": (lanes, 1), "cluster_dim": cluster}
+    return {**options, "module_options": MODULE_OPTIONS | {"block_dim": lanes}}
 
 
 @wp.func_native("return WP_TILE_THREAD_IDX;")

@@ -7,9 +7,9 @@ component; each solve tells its iterations and its worst relative residual. The 
 The residual that the recursion carries along drifts from what it stands for as rounding adds up. So b - A x is computed
 anew where the recursion ends; it is what is told, and if it asks for more the recursion starts again from there.
 
-All systems are one launch, each a block (``blocks``) that stops as soon as it is done: a thread on the CPU. Sums are
-added up in a fixed order, so a solve has the same bits in every run on a device. The operator is symmetric: its own
-adjoint.
+All systems are one launch, each a block or a cluster (``clusters``) that stops as soon as it is done: a thread on the
+CPU. Sums are added up in a fixed order, so a solve has the same bits in every run on a device. The operator is
+symmetric: its own adjoint.
 """
 
 from typing import Any
@@ -18,11 +18,12 @@ import numpy as np
 import warp as wp
 
 from warpdef.kernels.cg_functions import check_limits
-from warpdef.kernels.cg_kernels import kernels_for, lanes_for
+from warpdef.kernels.cg_kernels import kernels_for, team_for
+from warpdef.kernels.clusters import PARTIAL
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.launching import launch
 from warpdef.kernels.levels import node8
-from warpdef.kernels.ways import lanes_of
+from warpdef.kernels.ways import cluster_of, lanes_of
 
 _KERNELS = {dtype: kernels_for(dtype) for dtype in (wp.vec3, node8)}
 
@@ -54,7 +55,9 @@ class ConjugateGradients:
         self._x, self._r, self._p, self._ap = (wp.zeros(nodes, dtype=dtype, device=device) for _ in range(4))
         self.iterations = wp.zeros(systems, dtype=wp.int32, device=device)
         self.residual = wp.zeros(systems, dtype=wp.float32, device=device)
-        self._lanes = lanes_of(device, lanes_for(dtype))
+        lanes, cluster = team_for(dtype)
+        self._team = lanes_of(device, lanes), cluster_of(device, cluster)
+        self._partial = wp.zeros((systems, PARTIAL), dtype=dtype, device=device)
 
     @property
     def start(self) -> wp.array:
@@ -72,11 +75,11 @@ class ConjugateGradients:
             rhs, solution_out: flat full arrays of the graph's dtype; nodes that are not kept are left alone.
         """
         graph = [self._node, self._first, self._row, self._column, self._weight]
-        work = [self._x, self._r, self._p, self._ap]
+        work = [self._x, self._r, self._p, self._ap, self._partial]
         limits = [self._tolerance, self._iterations_max]
         outputs = [solution_out, self.iterations, self.residual]
         inputs = [first, *graph, *limits, rhs, *work, *outputs]
-        launch(self._kernels["solve_systems"], last - first, inputs, self._device, self._lanes)
+        launch(self._kernels["solve_systems"], last - first, inputs, self._device, *self._team)
 
     def multiply_add(self, x: wp.array, y: wp.array, z: wp.array, alpha: float, beta: float) -> None:
         """``z = alpha (I + lambda L) x + beta y`` on compact arrays: the contract of warp.optim.linear's operators."""

@@ -7,16 +7,19 @@ from typing import Any
 
 import warp as wp
 
-from warpdef.kernels.blocks import block_options, block_sum, lane, lanes, wait
+from warpdef.kernels.blocks import block_options
 from warpdef.kernels.cg_functions import functions_for, worst_residual_sq, worth_going_on
+from warpdef.kernels.clusters import CLUSTER, PARTIAL, cluster_lane, cluster_lanes, cluster_sum, cluster_wait
 from warpdef.kernels.launching import MODULE_OPTIONS
 from warpdef.kernels.sizes import sizes
-from warpdef.kernels.ways import LANES
 
 
-def lanes_for(dtype: Any) -> int:
-    """Lanes of a block that solves for vectors of this length: the longer they are, the more registers each takes."""
-    return LANES if dtype is wp.vec3 else 512
+def team_for(dtype: Any) -> tuple[int, int]:
+    """Lanes of a block and blocks of a cluster that solve one system.
+
+    A mesh is one large system of short vectors; grids are many small ones of long vectors, which need more registers.
+    """
+    return (256, CLUSTER) if dtype is wp.vec3 else (512, 1)
 
 
 def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
@@ -25,9 +28,9 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
 
     @sizes(
         "threads weight iterations_out residual_out: S; node x r p ap: N; first: S+1; row: N+1; column: E; rhs "
-        "solution_out: F"
+        f"solution_out: F; partial: S {PARTIAL}"
     )
-    @wp.kernel(**block_options(lanes_for(dtype)))
+    @wp.kernel(**block_options(*team_for(dtype)))
     def solve_systems(
         # In:
         begin: int,
@@ -41,39 +44,40 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         rhs: wp.array[dtype],
         # In and out: the last solution, then this one, compact
         x: wp.array[dtype],
-        # In and out: scratch, compact
+        # In and out: scratch, compact, and what blocks of a cluster leave for one another
         r: wp.array[dtype],
         p: wp.array[dtype],
         ap: wp.array[dtype],
+        partial: wp.array2d[dtype],
         # Out:
         solution_out: wp.array[dtype],
         iterations_out: wp.array[wp.int32],
         residual_out: wp.array[wp.float32],
     ):
-        """One block a system."""
-        s = begin + wp.tid() // lanes()
+        """One block or cluster a system."""
+        s = begin + wp.tid() // cluster_lanes()
         lowest = first[s]
         end = first[s + 1]
         w = weight[s]
         r_sq = dtype()
         b_sq = dtype()
-        for i in range(lowest + lane(), end, lanes()):
+        for i in range(lowest + cluster_lane(), end, cluster_lanes()):
             b = rhs[node[i]]
             residual = b - apply_row(i, w, row, column, x)
             r[i] = residual
             p[i] = residual
             r_sq += wp.cw_mul(residual, residual)
             b_sq += wp.cw_mul(b, b)
-        r_sq = block_sum(r_sq)
-        b_sq = block_sum(b_sq)
+        r_sq = cluster_sum(r_sq, s, 2, partial)
+        b_sq = cluster_sum(b_sq, s, 1, partial)
         keep = asked(b_sq)
         if worst_residual_sq(r_sq - wp.cw_mul(keep, r_sq), b_sq) > 0.0:
             r_sq = wp.cw_mul(keep, r_sq)
-            for i in range(lowest + lane(), end, lanes()):
+            for i in range(lowest + cluster_lane(), end, cluster_lanes()):
                 x[i] = wp.cw_mul(keep, x[i])
                 r[i] = wp.cw_mul(keep, r[i])
                 p[i] = r[i]
-            wait()
+            cluster_wait()
         done = int(0)
         known = float(wp.inf)
         going = int(1)
@@ -81,40 +85,40 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
             begun = done
             while done < iterations_max and worst_residual_sq(r_sq, b_sq) > tolerance * tolerance:
                 p_ap = dtype()
-                for i in range(lowest + lane(), end, lanes()):
+                for i in range(lowest + cluster_lane(), end, cluster_lanes()):
                     v = apply_row(i, w, row, column, p)
                     ap[i] = v
                     p_ap += wp.cw_mul(p[i], v)
-                alpha = ratios(r_sq, block_sum(p_ap))
+                alpha = ratios(r_sq, cluster_sum(p_ap, s, 0, partial))
                 next_sq = dtype()
-                for i in range(lowest + lane(), end, lanes()):
+                for i in range(lowest + cluster_lane(), end, cluster_lanes()):
                     x[i] = x[i] + wp.cw_mul(alpha, p[i])
                     v = r[i] - wp.cw_mul(alpha, ap[i])
                     r[i] = v
                     next_sq += wp.cw_mul(v, v)
-                next_sq = block_sum(next_sq)
+                next_sq = cluster_sum(next_sq, s, 1, partial)
                 beta = ratios(next_sq, r_sq)
-                for i in range(lowest + lane(), end, lanes()):
+                for i in range(lowest + cluster_lane(), end, cluster_lanes()):
                     p[i] = r[i] + wp.cw_mul(beta, p[i])
-                wait()
+                cluster_wait()
                 r_sq = next_sq
                 done = done + 1
             going = 0
             if done > begun:
                 r_sq = dtype()
-                for i in range(lowest + lane(), end, lanes()):
+                for i in range(lowest + cluster_lane(), end, cluster_lanes()):
                     residual = rhs[node[i]] - apply_row(i, w, row, column, x)
                     r[i] = residual
                     p[i] = residual
                     r_sq += wp.cw_mul(residual, residual)
-                r_sq = block_sum(r_sq)
+                r_sq = cluster_sum(r_sq, s, 2, partial)
                 worst = worst_residual_sq(r_sq, b_sq)
                 if done < iterations_max and worth_going_on(worst, known, tolerance):
                     going = 1
                 known = worst
-        for i in range(lowest + lane(), end, lanes()):
+        for i in range(lowest + cluster_lane(), end, cluster_lanes()):
             solution_out[node[i]] = x[i]
-        if lane() == 0:
+        if cluster_lane() == 0:
             iterations_out[s] = done
             residual_out[s] = wp.sqrt(worst_residual_sq(r_sq, b_sq))
 

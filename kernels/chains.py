@@ -7,8 +7,6 @@ transition by transition, whose grid then stays in the cache.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import warp as wp
 
@@ -20,41 +18,27 @@ from warpdef.kernels.sizes import sizes
 wp.set_module_options(MODULE_OPTIONS)
 
 
-@dataclass(frozen=True)
-class Paths:
-    """Both ways outwards from the keyframe, on a device.
+@sizes("order source target: S; bounds: 3")
+@wp.struct
+class Routes:
+    """Both ways outwards from the keyframe; made by ``routes_of``.
 
-    order: transitions in the order in which they are gone, forwards, then backwards     (S,) int32
-    bounds: where in ``order`` a direction begins, and the last one ends                  (3,) int32
-    source, target: frames of each transition                                             (S,) int32
+    order: transitions in the order in which they are gone, forwards, then backwards     (S,)
+    bounds: where in ``order`` a direction begins, and the last one ends                  (3,)
+    source, target: frames of each transition                                             (S,)
     """
 
-    order: wp.array
-    bounds: wp.array
-    source: wp.array
-    target: wp.array
-
-    @classmethod
-    def of(
-        cls, forward: range, backward: range, source: np.ndarray, target: np.ndarray, device: wp.Device
-    ) -> Paths:  # fmt: skip
-        """Args: transitions of each direction in order; source and target, shape (S,) int."""
-        bounds = [0, len(forward), len(forward) + len(backward)]
-        arrays = ([*forward, *backward], bounds, source, target)
-        return cls(*(wp.array(np.asarray(a, dtype=np.int32), dtype=wp.int32, device=device) for a in arrays))
+    order: wp.array[wp.int32]
+    bounds: wp.array[wp.int32]
+    source: wp.array[wp.int32]
+    target: wp.array[wp.int32]
 
 
-@sizes(
-    "threads: 2*V; order source target: S; bounds: 3; nodes: S M; levels: 2*L; level_count: L; vertices: T V; "
-    "rotation_out jacobian_out: S V"
-)
+@sizes("threads: 2*V; nodes: S M; levels: 2*L; level_count: L; vertices: T V; rotation_out jacobian_out: S V")
 @wp.kernel
 def _move_chains(
     # In:
-    order: wp.array[wp.int32],
-    bounds: wp.array[wp.int32],
-    source: wp.array[wp.int32],
-    target: wp.array[wp.int32],
+    routes: Routes,
     nodes: wp.array2d[node8],
     levels: wp.array[wp.int32],
     level_count: int,
@@ -68,22 +52,21 @@ def _move_chains(
     k = wp.tid()
     d = k // vertices.shape[1]
     i = k - d * vertices.shape[1]
-    for step in range(bounds[d], bounds[d + 1]):
-        s = order[step]
-        move_vertex(nodes, s, levels, level_count, i, source[s], target[s], vertices, rotation_out, jacobian_out)
+    for step in range(routes.bounds[d], routes.bounds[d + 1]):
+        s = routes.order[step]
+        move_vertex(
+            nodes, s, levels, level_count, i, routes.source[s], routes.target[s], vertices, rotation_out, jacobian_out
+        )
 
 
 @sizes(
-    "threads: 2*V; order source target: S; bounds: 3; vertices adj_weighed adj_plain: T V; confidence: T; "
+    "threads: 2*V; vertices adj_weighed adj_plain: T V; confidence: T; "
     "rotation jacobian adj_motion_out: S V; carry: T+1 V"
 )
 @wp.kernel
 def _adj_move_chains(
     # In:
-    order: wp.array[wp.int32],
-    bounds: wp.array[wp.int32],
-    source: wp.array[wp.int32],
-    target: wp.array[wp.int32],
+    routes: Routes,
     vertices: wp.array2d[wp.vec3],
     rotation: wp.array2d[wp.vec3],
     jacobian: wp.array2d[wp.mat33],
@@ -99,37 +82,51 @@ def _adj_move_chains(
     k = wp.tid()
     d = k // vertices.shape[1]
     i = k - d * vertices.shape[1]
-    first = bounds[d]
-    step = bounds[d + 1] - 1
+    first = routes.bounds[d]
+    step = routes.bounds[d + 1] - 1
     if step >= first:
-        beyond = carry[target[order[step]], i]
+        beyond = carry[routes.target[routes.order[step]], i]
         while step >= first:
-            s = order[step]
-            t = target[s]
+            s = routes.order[step]
+            t = routes.target[s]
             a = confidence[t] * adj_weighed[t, i] + adj_plain[t, i] + beyond
-            adj_motion_out[s, i] = motion_gradient(rotation[s, i], vertices[source[s], i], a)
+            adj_motion_out[s, i] = motion_gradient(rotation[s, i], vertices[routes.source[s], i], a)
             beyond = jacobian[s, i] * a
-            to = source[s]
+            to = routes.source[s]
             if d == 1 and step == first:
                 to = carry.shape[0] - 1  # at the keyframe, which two chains reach
             carry[to, i] = beyond
             step = step - 1
 
 
+def routes_of(
+    forward: range, backward: range, source: np.ndarray, target: np.ndarray, device: wp.Device
+) -> Routes:  # fmt: skip
+    """Routes on a device from the transitions of each direction, in order; source and target, shape (S,) int."""
+    routes, bounds = Routes(), [0, len(forward), len(forward) + len(backward)]
+    arrays = ([*forward, *backward], bounds, source, target)
+    on_device = (wp.array(np.asarray(a, dtype=np.int32), dtype=wp.int32, device=device) for a in arrays)
+    routes.order, routes.bounds, routes.source, routes.target = on_device
+    return routes
+
+
 def move_chains(
-    paths: Paths, nodes: wp.array, levels: wp.array, vertices: wp.array, rotation_out: wp.array, jacobian_out: wp.array
+    routes: Routes,
+    nodes: wp.array,
+    levels: wp.array,
+    vertices: wp.array,
+    rotation_out: wp.array,
+    jacobian_out: wp.array,
 ) -> None:
     """Move all vertices from the keyframe to all frames; arrays as in ``motion.move_vertices``."""
-    table = [paths.order, paths.bounds, paths.source, paths.target]
-    inputs = [*table, nodes, levels, len(levels) // 2, vertices, rotation_out, jacobian_out]
+    inputs = [routes, nodes, levels, len(levels) // 2, vertices, rotation_out, jacobian_out]
     launch(_move_chains, 2 * vertices.shape[1], inputs, nodes.device)
 
 
 def adj_move_chains(
-    paths: Paths, vertices: wp.array, rotation: wp.array, jacobian: wp.array, confidence: wp.array,
+    routes: Routes, vertices: wp.array, rotation: wp.array, jacobian: wp.array, confidence: wp.array,
     adj_weighed: wp.array, adj_plain: wp.array, carry: wp.array, adj_motion_out: wp.array,
 ) -> None:  # fmt: skip
     """Adjoint of ``move_chains``, all but its scatter; arrays as in ``motion.adj_move_vertices``."""
-    table = [paths.order, paths.bounds, paths.source, paths.target]
-    inputs = [*table, vertices, rotation, jacobian, confidence, adj_weighed, adj_plain, carry, adj_motion_out]
+    inputs = [routes, vertices, rotation, jacobian, confidence, adj_weighed, adj_plain, carry, adj_motion_out]
     launch(_adj_move_chains, 2 * vertices.shape[1], inputs, vertices.device)

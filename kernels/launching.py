@@ -48,12 +48,18 @@ def listing() -> Iterator[list[wp.Kernel]]:
 
 
 def launch(
-    kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any], device: wp.Device, lanes: int = 0
+    kernel: wp.Kernel,
+    dim: int | tuple[int, ...],
+    inputs: Sequence[Any],
+    device: wp.Device,
+    lanes: int = 0,
+    cluster: int = 1,
 ) -> None:
     """Run ``kernel`` over ``dim`` threads, or record it inside ``recording()``. An empty span is no launch.
 
     Args:
         lanes: threads of the block that each of ``dim`` systems has to itself (``blocks``); 0: no kernel for blocks.
+        cluster: as many blocks have it (``clusters``).
 
     Raises:
         TypeError, ValueError: an argument that the kernel's signature or table refuses, see ``sizes``.
@@ -65,7 +71,9 @@ def launch(
     if kernels is not None:
         kernels.append(kernel)
         return
-    over: dict[str, Any] = {"dim": dim * lanes, "block_dim": lanes} if isinstance(dim, int) and lanes else {"dim": dim}
+    over: dict[str, Any] = {"dim": dim}
+    if lanes and isinstance(dim, int):
+        over = {"dim": dim * cluster * lanes, "block_dim": lanes}
     commands = getattr(_state, "commands", None)
     if commands is None:
         wp.launch(kernel, inputs=list(inputs), device=device, **over)

@@ -47,6 +47,11 @@ def lanes_of(device: wp.Device, wanted: int = LANES) -> int:
     return _forced_lanes if device.is_cpu else wanted
 
 
+def cluster_of(device: wp.Device, wanted: int) -> int:
+    """Blocks of a cluster: those wanted where a device has clusters, else one."""
+    return 1 if device.is_cpu or device.arch < 90 else wanted
+
+
 @contextmanager
 def going(way: Way, lanes: int = 1) -> Iterator[None]:
     """Let what is built for the CPU in the block go this way; more than one lane only where it runs in the block, too.

@@ -10,7 +10,8 @@ import pytest
 import warp as wp
 
 import warpdef.kernels
-from warpdef.kernels import sizes
+from warpdef.kernels import block_cg, sizes
+from warpdef.kernels.clusters import CLUSTER
 
 ARCHITECTURE = 90
 
@@ -47,6 +48,15 @@ def test_no_file_with_kernels_is_missed() -> None:
     folder = Path(warpdef.kernels.__path__[0])
     files = {path.stem for path in folder.glob("*.py") if "@wp.kernel" in path.read_text(encoding="utf-8")}
     assert files == {name.split("-")[0] for name in modules_with_kernels()}
+
+
+def test_a_large_system_has_a_cluster(tmp_path: Path) -> None:
+    """Of as many blocks as its kernel thinks, which wait for one another."""
+    module = block_cg._solve_frames.module
+    (text,) = wp.compile_aot_module(module, arch=ARCHITECTURE, module_dir=tmp_path, use_ptx=True)
+    ptx = text.read_text(encoding="utf-8")
+    assert ptx.count("barrier.cluster.arrive.release") == ptx.count("barrier.cluster.wait.acquire") > 1
+    assert f".reqnctapercluster {CLUSTER}, 1, 1" in ptx and f".maxntid {block_cg.BLOCK_LANES}, 1, 1" in ptx
 
 
 def test_our_adjoints_are_written_by_hand() -> None:

@@ -9,7 +9,7 @@ import warp as wp
 import witness
 from gradients import along, assert_gradients_close, finite_differences, gradient_of
 
-from warpdef.kernels.chains import Paths, adj_move_chains, move_chains
+from warpdef.kernels.chains import adj_move_chains, move_chains, routes_of
 from warpdef.kernels.levels import LevelTable, node8
 from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_points, move_vertices, scatter_vertices
 
@@ -99,7 +99,7 @@ class GridChain:
     def __init__(self, arrays: Arrays, nodes: np.ndarray, template: np.ndarray) -> None:
         self.arrays, self.count = arrays, len(template)
         ends = np.array(sorted(self.forward + self.backward))
-        self.paths = Paths.of(range(1, 3), range(0, -1, -1), ends[:, 1], ends[:, 2], wp.get_device(arrays.device))
+        self.routes = routes_of(range(1, 3), range(0, -1, -1), ends[:, 1], ends[:, 2], wp.get_device(arrays.device))
         self.nodes = arrays.nodes(nodes)
         self.vertices = arrays.vectors(np.tile(template, (4, 1, 1)))
         self.rotation = arrays.zeros((3, self.count), wp.vec3)
@@ -123,7 +123,7 @@ class GridChain:
                     *forces, carry, adj_motion,
                 )  # fmt: skip
                 span = (s * self.count, self.count)
-                scatter_vertices(*span, a.levels, self.paths.source, self.vertices, adj_motion, adj_nodes)
+                scatter_vertices(*span, a.levels, self.routes.source, self.vertices, adj_motion, adj_nodes)
         return adj_nodes.numpy()[..., :6], carry.numpy()[1] + carry.numpy()[4]
 
 
@@ -143,21 +143,21 @@ def test_all_transitions_at_once_are_one_after_the_other(arrays: Arrays, rng: np
     start[0].assign(np.full((40, 3), 9.0, np.float32))
     start[2].assign(np.full((40, 3), 9.0, np.float32))
     rotation, jacobian = arrays.zeros((3, 40), wp.vec3), arrays.zeros((3, 40), wp.mat33)
-    move_chains(one_by_one.paths, one_by_one.nodes, arrays.levels, start, rotation, jacobian)
+    move_chains(one_by_one.routes, one_by_one.nodes, arrays.levels, start, rotation, jacobian)
     pairs = zip(
         (start, rotation, jacobian), (one_by_one.vertices, one_by_one.rotation, one_by_one.jacobian), strict=True
     )
     for found, expected in pairs:
         assert_same(found, expected)
     both = [(arrays.zeros((5, 40), wp.vec3), arrays.zeros((3, 40), node8)) for _ in range(2)]
-    adj_move_chains(one_by_one.paths, start, rotation, jacobian, *forces, *both[0])
+    adj_move_chains(one_by_one.routes, start, rotation, jacobian, *forces, *both[0])
     for steps in (one_by_one.forward, one_by_one.backward):
         for s, source, target in reversed(steps):
             to = 4 if steps is one_by_one.backward else source
             adj_move_vertices(0, 40, s, source, target, target, to, start, rotation, jacobian, *forces, *both[1])
     for found, expected in zip(*both, strict=True):
         assert_same(found, expected)
-    outer = Paths.of(range(3), range(-1, -1, -1), np.arange(3), np.arange(1, 4), wp.get_device(arrays.device))
+    outer = routes_of(range(3), range(-1, -1, -1), np.arange(3), np.arange(1, 4), wp.get_device(arrays.device))
     start[0].assign(template.astype(np.float32))
     move_chains(outer, one_by_one.nodes, arrays.levels, start, rotation, jacobian)
     expected = template

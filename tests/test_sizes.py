@@ -15,6 +15,7 @@ import witness_functions
 
 import warpdef.kernels
 from warpdef.kernels import launching
+from warpdef.kernels.chains import Routes
 from warpdef.kernels.launching import recording
 from warpdef.kernels.levels import node8
 from warpdef.kernels.pairs import Pairs
@@ -24,6 +25,7 @@ from warpdef.kernels.vectors import add_scaled
 # Numbers for the letters of the tables, all different but for those that some table calls equal: K = N = P = T V.
 LETTERS = dict(zip("TVSMLABCEFGHIQRW", (3, 5, 2, 41, 4, 6, 8, 9, 7, 11, 13, 17, 19, 23, 29, 31), strict=True))
 KNOWN = {name: (number, "") for name, number in (LETTERS | {"N": 15, "P": 15, "K": 15}).items()}
+STRUCTS = {"pairs": Pairs, "routes": Routes}
 OTHERS = {"betas": (0.9, 0.99), "robust": (1.0, 2, 0.5), "count": 1, "begin": 0}
 
 
@@ -57,12 +59,12 @@ class Call:
         self.arguments = {name: self._valid(name, p) for name, p in inspect.signature(launcher).parameters.items()}
 
     def _valid(self, name: str, parameter: inspect.Parameter) -> Any:
-        if name == "pairs":
-            pairs = Pairs()
+        if name in STRUCTS:
+            struct = STRUCTS[name]()
             for a in self.table.arguments:
                 if a.member:
-                    setattr(pairs, a.member, array(a))
-            return pairs
+                    setattr(struct, a.member, array(a))
+            return struct
         for label in (name, f"{name}_out", name.removesuffix("_out")):
             if label in self.entries and self.entries[label].rank:
                 return array(self.entries[label])

@@ -29,6 +29,8 @@ def start_warp() -> None:
     global _runs
     _runs = True
     wp.config.log_level = logging.WARNING
+    # For every device as it is: code for the oldest of several would know no clusters (``kernels.clusters``).
+    wp.config.cuda_output = "cubin"
     ensure_cache()
     if _has_driver():
         wp.init()

@@ -7,7 +7,7 @@ import warp as wp
 
 from warpdef.device import Way
 from warpdef.fit.problem import Problem
-from warpdef.kernels.chains import Paths, adj_move_chains, move_chains
+from warpdef.kernels.chains import adj_move_chains, move_chains, routes_of
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import adj_move_vertices, move_vertices, scatter_vertices
 
@@ -33,7 +33,7 @@ class Chain:
         (self.jacobian,) = p.pool.own("chain", wp.mat33, (transitions, count))
         (self.adj_motion,) = p.pool.own("chain", node8, (transitions, count))
         ends = p.transitions
-        self._paths = Paths.of(ends.forward, ends.backward, ends.source, ends.target, p.device)
+        self._routes = routes_of(ends.forward, ends.backward, ends.source, ends.target, p.device)
         self.vertices.assign(np.tile(p.template.astype(np.float32), (frames, 1, 1)))
 
     def move(self, begin: int, count: int) -> None:
@@ -41,7 +41,7 @@ class Chain:
         ends = self._problem.transitions
         if self._problem.way is Way.WHOLE:
             places = (self.vertices, self.rotation, self.jacobian)
-            move_chains(self._paths, self.nodes, self.levels, *places)
+            move_chains(self._routes, self.nodes, self.levels, *places)
             return
         for s in (*ends.forward, *ends.backward):
             self.move_one(s, begin, count)
@@ -57,7 +57,7 @@ class Chain:
         """Adjoint of ``move`` from the sums of the terms' gradients: six numbers a vertex and transition, and carry."""
         if self._problem.way is Way.WHOLE:
             forces = (confidence, weighed, plain, self.carry, self.adj_motion)
-            adj_move_chains(self._paths, self.vertices, self.rotation, self.jacobian, *forces)
+            adj_move_chains(self._routes, self.vertices, self.rotation, self.jacobian, *forces)
             return
         ends, spare = self._problem.transitions, self._problem.frame_count
         for transitions in (ends.forward, ends.backward):
@@ -72,5 +72,5 @@ class Chain:
     def scatter(self, first: int, last: int) -> None:
         """Add what ``adj_move`` left to the nodes of transitions ``first .. last``."""
         count = self._problem.vertex_count
-        arrays = (self._paths.source, self.vertices, self.adj_motion, self._adj_nodes)
+        arrays = (self._routes.source, self.vertices, self.adj_motion, self._adj_nodes)
         scatter_vertices(first * count, (last - first) * count, self.levels, *arrays)
