@@ -10,7 +10,7 @@ Warp is written down. A prefix sum of Warp's counts as its two launches and the 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -32,16 +32,50 @@ FRAMES, KEYFRAME = 17, 8  # as the sequences of the results have: what goes fram
 LEVELS, SUBDIVISIONS, POINTS = 3, 2, 150
 
 
+@dataclass(frozen=True)
+class Launch:
+    """One of a kernel. bytes: of the arrays among its arguments, views once. piece: of the fit.
+
+    systems: of a kernel for blocks. longest, cells: where points are sorted, those of the largest group, and cells of a
+    group; else 0.
+    """
+
+    kernel: str
+    threads: int
+    bytes: int
+    systems: int = 0
+    longest: int = 0
+    cells: int = 0
+    piece: str = ""
+
+
 @dataclass
 class Counted:
-    """launches: of each kernel, by its name. allocations: of device memory."""
+    """launches: of each kernel, by its name; each: of kernels, in order. allocations: of device memory."""
 
     launches: Counter[str] = field(default_factory=Counter)
+    each: list[Launch] = field(default_factory=list)
     allocations: int = 0
 
     @property
     def total(self) -> int:
         return self.launches.total()
+
+
+def _arrays(kernel: wp.Kernel, inputs: Sequence[Any]) -> dict[str, wp.array]:
+    """Arrays among the inputs of a launch, those in structs, too, by name."""
+    found: dict[str, wp.array] = {}
+
+    def look(name: str, value: Any) -> None:
+        if isinstance(value, wp.array):
+            found[name] = value
+        elif hasattr(value, "_cls"):
+            for member in value._cls.vars:
+                look(f"{name}.{member}", getattr(value, member))
+
+    for argument, value in zip(kernel.adj.args, inputs, strict=True):
+        look(argument.label, value)
+    return found
 
 
 @contextmanager
@@ -67,8 +101,15 @@ def counting() -> Iterator[Counted]:
         counted.allocations += 1
         return count(lambda *_, **__: "array_scan", scan, 2)(*args, **kwargs)
 
-    def kernel_of(kernel: wp.Kernel, *_: Any, **__: Any) -> str:
-        return kernel.func.__name__.lstrip("_")
+    def kernel_of(kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], block_dim: int = 0, **_: Any) -> str:
+        name, arrays = kernel.func.__name__.lstrip("_"), _arrays(kernel, inputs)
+        size = sum({a.ptr: a.size * wp.types.type_size_in_bytes(a.dtype) for a in arrays.values()}.values())
+        longest, cells = 0, 0
+        if name.startswith("sort_groups"):
+            longest, cells = int(np.diff(arrays["offset"].numpy()).max()), arrays["start_out"].shape[1]
+        threads = int(np.prod(dim))
+        counted.each.append(Launch(name, threads, size, threads // block_dim if block_dim else 0, longest, cells))
+        return name
 
     with (
         mock.patch.object(wp, "launch", count(kernel_of, wp.launch)),
