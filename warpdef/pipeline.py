@@ -100,7 +100,8 @@ def reconstruct(
                 given = [n is not None or view is not None for n in sequence.normals]
                 keyframe = sequence.numbers.index(chosen.keyframe)
                 steady = replace(config, optimiser=config.optimiser.for_length(len(clouds)))
-                problem = Problem(clouds, normals, mesh.vertices, mesh.faces, keyframe, steady, target, given)
+                ends = mesh.vertices, mesh.faces, keyframe
+                problem = Problem(clouds, normals, *ends, steady, target, given, view is not None)
                 optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
                 refinement = Refinement(optimiser.objective, team) if config.refine.iterations else None
                 stages = [stage for stage in (optimiser, refinement) if stage is not None]

@@ -103,13 +103,15 @@ class DeformationGraph:
         normal: np.ndarray,
         rigidity: float,
         tangential: float,
+        weight: np.ndarray | None = None,
     ) -> Pose:
         """One Gauss-Newton step of
 
-            1/m sum_i ((n_i . r_i)^2 + tangential |r_i|^2)
+            1/sum_i w_i sum_i w_i ((n_i . r_i)^2 + tangential |r_i|^2)
             + rigidity/e sum_(j,k) |R_j (g_k - g_j) + g_j + t_j - g_k - t_k|^2
 
-        with r_i the vertex ``chosen[i]`` minus its ``goal`` (m, 3), n its unit ``normal`` (m, 3).
+        with r_i the vertex ``chosen[i]`` minus its ``goal`` (m, 3), n its unit ``normal`` (m, 3), and w its
+        ``weight`` (m,), all 1 if not given.
         """
         from scipy.sparse import csc_matrix, csr_matrix, identity, vstack
         from scipy.sparse.linalg import splu
@@ -124,7 +126,10 @@ class DeformationGraph:
         bend[:, :, 9:] = -np.eye(3)
         bend_at = np.concatenate([j[:, None] * 6 + np.arange(6), k[:, None] * 6 + np.arange(6)], axis=1)
         bent = arm + anchor[j] + pose.shift[j] - anchor[k] - pose.shift[k]
-        fit_scale, bend_scale = 1.0 / np.sqrt(max(len(chosen), 1)), np.sqrt(rigidity / max(len(j), 1))
+        bend_scale = np.sqrt(rigidity / max(len(j), 1))
+        fit_scale = np.full(len(chosen), 1.0 / np.sqrt(max(len(chosen), 1)))
+        if weight is not None:
+            fit_scale = np.sqrt(weight / max(float(weight.sum()), 1e-300))
 
         def rows(blocks: np.ndarray, at: np.ndarray) -> csr_matrix:
             height, width = blocks.shape[0] * 3, blocks.shape[2]
@@ -132,8 +137,9 @@ class DeformationGraph:
             first = np.arange(0, height * width + 1, width)
             return csr_matrix((flat.ravel(), np.repeat(at, 3, axis=0).ravel(), first), shape=(height, 6 * count))
 
-        jacobian = vstack([rows(fit * fit_scale, fit_at), rows(bend * bend_scale, bend_at)]).tocsr()
-        residual = np.concatenate([misfit.ravel() * fit_scale, bent.ravel() * bend_scale])
+        fit, misfit = fit * fit_scale[:, None, None], misfit * fit_scale[:, None]
+        jacobian = vstack([rows(fit, fit_at), rows(bend * bend_scale, bend_at)]).tocsr()
+        residual = np.concatenate([misfit.ravel(), bent.ravel() * bend_scale])
         # Nodes that nothing holds, on their own in a component, stay.
         system = csc_matrix(jacobian.T @ jacobian + 1e-12 * identity(6 * count))
         options = {"SymmetricMode": True}

@@ -5,6 +5,9 @@ show. But each transition's own grid is good: it takes cloud to cloud without th
 inner neighbour, already fitted, moved by the one transition between them, and is fitted by a few rounds of the vertex
 stage before the next. Where that leaves points uncovered, the neighbour's mesh is bent by matches (``recover``), too,
 and what fits better is kept; what stays lost is tried once more from the frame behind it.
+
+What one camera saw is followed without the grids: the template itself is bent onto one frame after the other
+(``bending``), each from the pose of its inner neighbour, before the vertex stage fits it.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from warpdef.fit.bending import Bending, SeenCloud
 from warpdef.fit.objective import Objective
 from warpdef.fit.recover import Cloud, ConnectedSurface, Search
 from warpdef.fit.refine import Refinement
@@ -40,7 +44,8 @@ def follow(
     ends = objective.problem.transitions
     refinement.shape.take()
     with ThreadPoolExecutor(2 if threads > 1 and objective.problem.way is Way.SPANS else 1) as pool:
-        sides = list(pool.map(walk.outwards, (ends.forward, ends.backward)))
+        way = walk.bent_outwards if walk.bending else walk.outwards
+        sides = list(pool.map(way, (ends.forward, ends.backward)))
     objective.problem.normals.assign(walk.given)
     return sorted(t for side in sides for t in side), sorted(walk.bent)
 
@@ -60,6 +65,26 @@ class _Walk:
         surface = ConnectedSurface.of(p.faces, p.edges.numpy())
         self.search = Search(objective.vertices.numpy().astype(np.float64), clouds, surface, p.transitions.keyframe)
         self.bent: set[int] = set()
+        self.bending: Bending | None = None
+        if p.seen and not p.config.optimiser.chain:
+            self.bending = Bending(p.template.astype(np.float64), p.faces, p.edges.numpy())
+
+    def bent_outwards(self, transitions: range) -> list[int]:
+        """Frames of one side, of what one camera saw, in order."""
+        bending, ends = self.bending, self.problem.transitions
+        assert bending is not None
+        poses = {ends.keyframe: bending.still()}
+        fitted: list[int] = []
+        for s in transitions:
+            source, target = int(ends.source[s]), int(ends.target[s])
+            if self.stopped():
+                break
+            cloud = SeenCloud.of(self.points[target], self.normals[target])
+            poses[target] = bending.onto(cloud, poses[source])
+            self.objective.vertices[target].assign(bending.place(poses[target]).astype(np.float32))
+            self._settle(target, source)
+            fitted.append(target)
+        return fitted
 
     def outwards(self, transitions: range) -> list[int]:
         """Frames of one side, in order."""

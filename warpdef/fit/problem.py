@@ -47,6 +47,7 @@ class Problem:
         clouds: T arrays (N_t, 3), cube units. normals: T arrays (N_t, 3), unit length; or None.
         vertices: template at the keyframe, (V, 3), cube units. faces: (F, 3). keyframe: its frame.
         oriented: whether a frame's normals are known to point outwards; None: all are.
+        seen: whether one camera saw all clouds: normals are on its side beyond doubt, and no frame shows all.
     """
 
     def __init__(
@@ -59,9 +60,10 @@ class Problem:
         config: Config,
         device: wp.Device,
         oriented: Sequence[bool] | None = None,
+        seen: bool = False,
     ) -> None:
         self.config, self.device, self.way, self.pool = config, device, way_of(device), Pool(device)
-        self.transitions = Transitions.away_from(keyframe, len(clouds))
+        self.transitions, self.seen = Transitions.away_from(keyframe, len(clouds)), seen
         self.levels = LevelTable.build(config.grid.coarsest, config.grid.levels)
         orders = [morton_order(c) for c in clouds]
         clouds = [c[o] for c, o in zip(clouds, orders, strict=True)]
@@ -130,7 +132,8 @@ class Problem:
     def measures(self) -> CloudMeasures:
         """Of the clouds, against the template's area."""
         area = float(face_areas(self.template, self.faces).sum())
-        return CloudMeasures(self.by_frame(self.cloud.numpy()), area, self.config.keyframe.coverage_min)
+        least = np.inf if self.seen else self.config.keyframe.coverage_min
+        return CloudMeasures(self.by_frame(self.cloud.numpy()), area, least)
 
     @cached_property
     def border(self) -> np.ndarray | None:

@@ -1,0 +1,121 @@
+"""A mesh bent onto what one camera saw of it: what is seen is met, what is not goes along, rigid and whole."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import synthetic
+from leg_samples import DEGREE, body
+
+from warpdef.config import Config
+from warpdef.device import find_device
+from warpdef.fit.bending import Bending, SeenCloud
+from warpdef.fit.embedded import Pose
+from warpdef.fit.follow import follow
+from warpdef.fit.optimise import Optimiser
+from warpdef.fit.problem import Problem
+from warpdef.fit.refine import Refinement
+from warpdef.fit.workers import Team
+from warpdef.geometry.closest import closest_on_surface
+from warpdef.geometry.triangles import unique_edges, vertex_normals
+
+EYE = np.array([0.0, 0.0, 1.0])
+
+
+def seen_part(vertices: np.ndarray, faces: np.ndarray, seed: int = 0, without: float = -np.inf) -> SeenCloud:
+    """Samples that look towards +z and lie beyond ``without`` along x; the same chance for each pixel."""
+    rng = np.random.default_rng(seed)
+    points, normals = synthetic.sample_surface(vertices, faces, 6000, rng)
+    shown = (normals @ EYE > rng.random(len(points))) & (points[:, 0] > without)
+    return SeenCloud.of(points[shown], normals[shown])
+
+
+def bending_of(vertices: np.ndarray, faces: np.ndarray) -> Bending:
+    return Bending(vertices, faces, unique_edges(faces))
+
+
+def lengths(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    ends = vertices[unique_edges(faces)]
+    return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+
+
+def test_a_leg_that_swings_by_half_a_right_angle_is_met_and_its_far_side_goes_along():
+    rest, faces = body((0.0, 0.0))
+    there, _ = body((45.0 * DEGREE, 0.0))
+    cloud = seen_part(there, faces)
+    bending = bending_of(rest, faces)
+    placed = bending.place(bending.onto(cloud, bending.still()))
+    gap = closest_on_surface(cloud.points, placed, faces)[0]
+    assert np.quantile(closest_on_surface(cloud.points, rest, faces)[0], 0.9) > 0.1
+    assert np.quantile(gap, 0.95) < 0.02
+    hidden = vertex_normals(there, faces) @ EYE < -0.3
+    error = np.linalg.norm(placed - there, axis=1)[hidden]
+    before = np.linalg.norm(rest - there, axis=1)[hidden]
+    # On a round leg a place along the surface is open; half a leg's width is 0.08.
+    assert np.quantile(error, 0.9) < 0.08 < np.quantile(before, 0.9)
+
+
+def test_a_limb_out_of_sight_stays_whole():
+    rest, faces = body((0.0, 0.0))
+    limb = rest[:, 0] < -0.2
+    cloud = seen_part(rest @ synthetic.turn_about(EYE, 0.1).T + [0.05, 0.0, 0.0], faces, without=-0.05)
+    bending = bending_of(rest, faces)
+    placed = bending.place(bending.onto(cloud, bending.still()))
+    edges = unique_edges(faces)
+    stretch = lengths(placed, faces) / lengths(rest, faces)
+    on = limb[edges].all(axis=1)
+    assert on.sum() > 50
+    assert 0.9 < np.quantile(stretch[on], 0.05) and np.quantile(stretch[on], 0.95) < 1.1
+
+
+def test_points_are_not_met_by_the_far_side():
+    """A thin plate; what is seen moves through it to where the far side was: the near side must follow, facing."""
+    direction, faces = synthetic.icosphere(3)
+    rest = direction * [0.8, 0.6, 0.05]
+    there = rest - [0.0, 0.0, 0.1]
+    placed_by = bending_of(rest, faces)
+    placed = placed_by.place(placed_by.onto(seen_part(there, faces), placed_by.still()))
+    assert np.abs(placed - there)[:, 2].mean() < 0.01
+
+
+def test_nothing_in_reach_is_no_reason_to_move():
+    rest, faces = body((0.0, 0.0))
+    cloud = seen_part(rest, faces)
+    away = SeenCloud(cloud.points + 100.0, cloud.normals, cloud.spacing)
+    bending = bending_of(rest, faces)
+    np.testing.assert_array_equal(bending.onto(away, bending.still()).shift, 0.0)
+
+
+def test_weights_of_a_step_count_matches():
+    rest, faces = synthetic.icosphere(2)
+    graph = bending_of(rest, faces).graph
+    rng = np.random.default_rng(0)
+    vertex, goal = np.arange(len(rest)), rest + 0.05 * rng.normal(size=rest.shape)
+    match = (goal, rest, 0.1, 0.1)
+    half = np.arange(len(rest)) % 2 == 0
+    some = graph.step(rest, Pose.identity(len(graph.node)), vertex[half], goal[half], rest[half], 0.1, 0.1)
+    weighed = graph.step(rest, Pose.identity(len(graph.node)), vertex, *match, weight=half.astype(float))
+    np.testing.assert_allclose(weighed.shift, some.shift, atol=1e-9)
+    whole = graph.step(rest, Pose.identity(len(graph.node)), vertex, *match)
+    assert np.abs(whole.shift - some.shift).max() > 1e-3
+
+
+def test_clouds_of_one_camera_are_followed_by_bending():
+    turning = synthetic.turning_ellipsoid(5, 3000, np.random.default_rng(0), subdivisions=3)
+    shown = [normals @ EYE > 0.1 for normals in turning.normals]
+    clouds, normals = ([a[s] for a, s in zip(all_, shown, strict=True)] for all_ in (turning.clouds, turning.normals))
+    config = replace(Config(), grid=replace(Config().grid, levels=3))
+    device = find_device("cpu")
+    problem = Problem(clouds, normals, turning.vertices[2], turning.faces, 2, config, device, seen=True)
+    assert not problem.measures.complete.any()
+    with closing(Team(1)) as team:
+        optimiser = Optimiser(problem, 1, team)
+        optimiser.finish()
+        refinement = Refinement(optimiser.objective, team)
+        followed, bent = follow(optimiser.objective, refinement)
+    assert followed == [0, 1, 3, 4]
+    assert bent == []
+    size = [lengths(v, problem.faces).sum() for v in optimiser.objective.vertices.numpy()]
+    np.testing.assert_allclose(size, size[2], rtol=0.03)
