@@ -51,7 +51,7 @@ def apply_block_row(
 
 @sizes(
     "threads iterations_out residual_out: T; row: V+1; column: E; matrix rhs inverse r p ap solution_out: T V; "
-    f"partial: T {PARTIAL}"
+    f"partial: {PARTIAL}*T"
 )
 @wp.kernel(**block_options(BLOCK_LANES, CLUSTER))
 def _solve_frames(
@@ -70,7 +70,7 @@ def _solve_frames(
     r: wp.array2d[wp.vec3],
     p: wp.array2d[wp.vec3],
     ap: wp.array2d[wp.vec3],
-    partial: wp.array2d[wp.vec3],
+    partial: wp.array[wp.vec3],
     # Out:
     solution_out: wp.array2d[wp.vec3],
     iterations_out: wp.array[wp.int32],
@@ -177,7 +177,7 @@ class BlockSolver:
         self.iterations = wp.zeros(frame_count, dtype=wp.int32, device=device)
         self.residual = wp.zeros(frame_count, dtype=wp.float32, device=device)
         self._team = lanes_of(device, BLOCK_LANES), cluster_of(device, CLUSTER)
-        self._partial = wp.zeros((frame_count, PARTIAL), dtype=wp.vec3, device=device)
+        self._partial = wp.zeros(frame_count * PARTIAL, dtype=wp.vec3, device=device)
 
     def solve(
         self, first: int, last: int, alpha: float, beta: float, matrix: wp.array, rhs: wp.array,

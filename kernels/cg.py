@@ -57,7 +57,7 @@ class ConjugateGradients:
         self.residual = wp.zeros(systems, dtype=wp.float32, device=device)
         lanes, cluster = team_for(dtype)
         self._team = lanes_of(device, lanes), cluster_of(device, cluster)
-        self._partial = wp.zeros((systems, PARTIAL), dtype=dtype, device=device)
+        self._partial = wp.zeros(systems * PARTIAL, dtype=dtype, device=device)
 
     @property
     def start(self) -> wp.array:

@@ -28,7 +28,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
 
     @sizes(
         "threads weight iterations_out residual_out: S; node x r p ap: N; first: S+1; row: N+1; column: E; rhs "
-        f"solution_out: F; partial: S {PARTIAL}"
+        f"solution_out: F; partial: {PARTIAL}*S"
     )
     @wp.kernel(**block_options(*team_for(dtype)))
     def solve_systems(
@@ -48,7 +48,7 @@ def kernels_for(dtype: Any) -> dict[str, wp.Kernel]:
         r: wp.array[dtype],
         p: wp.array[dtype],
         ap: wp.array[dtype],
-        partial: wp.array2d[dtype],
+        partial: wp.array[dtype],
         # Out:
         solution_out: wp.array[dtype],
         iterations_out: wp.array[wp.int32],

@@ -78,19 +78,19 @@ _ACROSS = (
 
 
 @wp.func_native(_ACROSS)
-def across_blocks(value: wp.vec3, system: int, slot: int, partial: wp.array2d[wp.vec3]) -> wp.vec3: ...
+def across_blocks(value: wp.vec3, system: int, slot: int, partial: wp.array[wp.vec3]) -> wp.vec3: ...
 
 
 @wp.func_native(_ACROSS)
-def across_blocks(value: node8, system: int, slot: int, partial: wp.array2d[node8]) -> node8: ...  # noqa: F811
+def across_blocks(value: node8, system: int, slot: int, partial: wp.array[node8]) -> node8: ...  # noqa: F811
 
 
 @wp.func
-def cluster_sum(value: wp.vec3, system: int, slot: int, partial: wp.array2d[wp.vec3]) -> wp.vec3:
+def cluster_sum(value: wp.vec3, system: int, slot: int, partial: wp.array[wp.vec3]) -> wp.vec3:
     """Of all lanes, the same bits in each."""
     return across_blocks(block_sum(value), system, slot, partial)
 
 
 @wp.func
-def cluster_sum(value: node8, system: int, slot: int, partial: wp.array2d[node8]) -> node8:  # noqa: F811
+def cluster_sum(value: node8, system: int, slot: int, partial: wp.array[node8]) -> node8:  # noqa: F811
     return across_blocks(block_sum(value), system, slot, partial)
