@@ -75,6 +75,9 @@ def test_the_motion_is_in_the_page(tmp_path):
     np.testing.assert_allclose(low + size * stored, VERTICES, rtol=0, atol=size.max() / 65535)
     np.testing.assert_array_equal(np.cumsum(unfolded(pane["faces"], "<u4")).reshape(-1, 3), BAR.faces)
     assert len(inflated(pane["colors"])) == VERTICES.shape[1] * 4
+    checker, rest = pane["checker"], VERTICES[2]
+    assert (checker["frame"], checker["low"]) == (2, rest.min(axis=0).tolist())
+    assert checker["scale"] == pytest.approx(20 / np.ptp(rest, axis=0).max())
     cloud = low + size * undone(pane["cloud"], "<u2", 1, list(range(-1, 299)))[0] / 65535
     assert pane["cloudCounts"] == [60] * 5
     np.testing.assert_allclose(np.sort(cloud[:60], 0), np.sort(BAR.clouds[0], 0), rtol=0, atol=size.max() / 65535)
@@ -133,7 +136,7 @@ def test_chosen_ends_and_colours_reach_the_page(tmp_path):
 
 def test_plain_pages_and_single_frames(tmp_path):
     scene = scene_of(write(tmp_path, "--color", "plain", "--frames", ":1"))
-    assert "colors" not in scene["panes"][0] and scene["frames"] == 1
+    assert not {"colors", "checker"} & set(scene["panes"][0]) and scene["frames"] == 1
 
 
 def test_nothing_is_fetched_and_no_text_breaks_out(tmp_path):

@@ -42,9 +42,15 @@ def checker_places(rest: np.ndarray, cells: int = CELLS) -> np.ndarray:
 
     Args: rest: the vertices at rest, shape (V, 3).
     """
+    low, scale = checker_scale(rest, cells)
+    return ((rest - low) * scale + 0.5).astype("f4")
+
+
+def checker_scale(rest: np.ndarray, cells: int = CELLS) -> tuple[np.ndarray, float]:
+    """The lowest corner of a shape (V, 3), (3,), and how many cells a length of 1 has."""
     low = rest.min(axis=0)
     side = float((rest.max(axis=0) - low).max()) or 1.0
-    return ((rest - low) * (cells / side) + 0.5).astype("f4")
+    return low, cells / side
 
 
 class Checker:

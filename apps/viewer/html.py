@@ -120,7 +120,8 @@ def _colors(pane: Pane, content: Content, look: Look, parents: np.ndarray) -> di
     import numpy as np
 
     from warpdef.apps.viewer.actors import MATERIAL
-    from warpdef.apps.viewer.colouring import material_colors
+    from warpdef.apps.viewer.checker import SHADE, checker_scale
+    from warpdef.apps.viewer.colouring import material_hues
     from warpdef.apps.viewer.page_data import deflated, pack_moving
     from warpdef.apps.viewer.scales import MISSING, Scales, color_map
     from warpdef.vertex_measures import MEASURES
@@ -129,7 +130,11 @@ def _colors(pane: Pane, content: Content, look: Look, parents: np.ndarray) -> di
     colors = pane.colors
     if colors is None:
         assert pane.moving is not None  # pages are made of meshes that move
-        colors = material_colors(pane.moving.vertices[pane.keyframe])
+        rest = pane.moving.vertices[pane.keyframe]
+        colors = material_hues(rest)
+        if look.color == MATERIAL:
+            corner, scale = checker_scale(rest)
+            packed["checker"] = {"frame": pane.keyframe, "low": corner.tolist(), "scale": scale, "dark": 1.0 - SHADE}
     if look.color != "plain":
         # Four bytes a vertex, as graphics cards read them.
         rows = np.full((len(colors), 4), 255, dtype=np.uint8)

@@ -85,14 +85,15 @@ const gl = $("canvas").getContext("webgl2", { antialias: true });
 if (!gl) fail("This page needs WebGL 2, which this browser does not offer.");
 
 const VERTEX = `#version 300 es
-in vec4 p0; in vec4 p1; in vec3 n0; in vec3 n1; in vec3 color;
+in vec4 p0; in vec4 p1; in vec3 n0; in vec3 n1; in vec3 color; in vec3 rest;
 uniform mat4 view; uniform vec3 low, size; uniform float mixing, pointScale, pixel; uniform int kind;
-uniform sampler2D table;
-out vec3 tint, normal, place;
+uniform sampler2D table; uniform vec4 cells;
+out vec3 tint, normal, place, cell;
 void main() {
   place = low + size * mix(p0.xyz, p1.xyz, mixing);
   normal = mix(n0, n1, mixing);
   tint = color;
+  cell = (low + size * rest - cells.xyz) * cells.w + 0.5;
   if (kind == 2) {
     float a = p0.w * 65535.0, b = p1.w * 65535.0, v = a > 254.5 || b > 254.5 ? 255.0 : mix(a, b, mixing);
     tint = texture(table, vec2((v + 0.5) / 256.0, 0.5)).rgb;
@@ -102,10 +103,16 @@ void main() {
 }`;
 const FRAGMENT = `#version 300 es
 precision highp float; precision highp int;
-in vec3 tint, normal, place; uniform vec3 toEye, above, plain; uniform int shading, kind;
+in vec3 tint, normal, place, cell; uniform vec3 toEye, above, plain; uniform int shading, kind; uniform float dark;
 out vec4 result;
 void main() {
   vec3 base = kind == 0 ? plain : tint;
+  if (kind == 1 && dark > 0.0) {
+    // A checker of cubes at rest: the product of three square waves, each as steep as a pixel is wide.
+    vec3 away = abs(2.0 * fract(0.5 * cell + 0.25) - 1.0) - 0.5;
+    vec3 waves = 2.0 * clamp(away / max(fwidth(cell), vec3(1e-6)), -0.5, 0.5);
+    base *= 1.0 - dark * (0.5 - 0.5 * waves.x * waves.y * waves.z);
+  }
   if (shading == 3 && length(gl_PointCoord - 0.5) > 0.5) discard;
   if (shading >= 2) { result = vec4(base, 1.0); return; }
   vec3 n = shading == 1 ? normal : cross(dFdx(place), dFdy(place));
@@ -124,7 +131,7 @@ function program() {
     if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
     gl.attachShader(made, shader);
   }
-  ["p0", "p1", "n0", "n1", "color"].forEach((name, i) => gl.bindAttribLocation(made, i, name));
+  ["p0", "p1", "n0", "n1", "color", "rest"].forEach((name, i) => gl.bindAttribLocation(made, i, name));
   gl.linkProgram(made);
   if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(made));
   return made;
@@ -152,7 +159,7 @@ function sample(rows, most) {
   return out;
 }
 async function prepare(pane) {
-  const made = { title: pane.title, measured: !!pane.values, outline: [] };
+  const made = { title: pane.title, measured: !!pane.values, checker: pane.checker, outline: [] };
   made.table = texture(pane.table ? await inflate(pane.table) : new Uint8Array(3));
   if (pane.faces) {
     const count = pane.count, faces = await indices(pane.faces), near = lowerNeighbours(faces, count);
@@ -198,6 +205,12 @@ function drawPane(pane, x, y, width, height, scale) {
       attribute(2 + i, pane.normals, 4, gl.BYTE, true, 4 * t * pane.count);
     });
     attribute(4, pane.colors, 4, gl.UNSIGNED_BYTE, true, 0);
+    const checker = pane.checker;
+    gl.uniform1f(U.dark, checker ? checker.dark : 0);
+    if (checker) {
+      attribute(5, pane.rows, 4, gl.UNSIGNED_SHORT, true, 8 * checker.frame * pane.count);
+      gl.uniform4f(U.cells, ...checker.low, checker.scale);
+    } else attribute(5, null);
     gl.uniform1i(U.kind, pane.measured ? 2 : pane.colors ? 1 : 0);
     gl.uniform3f(U.plain, 0.76, 0.78, 0.82);
     // A number's colour is the bar's, not a shade of it.
@@ -226,7 +239,7 @@ function drawPane(pane, x, y, width, height, scale) {
     gl.uniform1f(U.mixing, 0);
     const t = Math.min(Math.round(at), S.frames - 1);
     for (const i of [0, 1]) attribute(i, pane.cloud, 4, gl.UNSIGNED_SHORT, true, 8 * pane.cloudStarts[t]);
-    for (const i of [2, 3, 4]) attribute(i, null);
+    for (const i of [2, 3, 4, 5]) attribute(i, null);
     gl.uniform1i(U.kind, 0);
     gl.uniform1i(U.shading, 3);
     gl.uniform3f(U.plain, 0.27, 0.34, 0.42);

@@ -88,6 +88,7 @@ async function start() {
   gl.useProgram(P);
   U = {};
   const names = ["view", "low", "size", "mixing", "pointScale", "pixel", "kind", "toEye", "above", "shading", "plain"];
+  names.push("cells", "dark");
   for (const name of names) U[name] = gl.getUniformLocation(P, name);
   gl.uniform3fv(U.low, S.low);
   gl.uniform3fv(U.size, S.size);
