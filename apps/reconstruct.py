@@ -15,6 +15,7 @@ from cyclopts.validators import Number
 from warpdef.apps.config_flags import ConfigFlags, resolve_config
 from warpdef.apps.console import ProgressDisplay, Stopwatch, clean_stdout, print_json, say
 from warpdef.apps.exit_codes import EXIT_LOST, EXIT_OK
+from warpdef.apps.imports import uncollected
 from warpdef.apps.run_summary import print_summary
 from warpdef.apps.signals import exit_code, interruption
 from warpdef.config import Config
@@ -186,11 +187,12 @@ def run_to_folder(
     Raises:
         WarpdefError: input, configuration, device or output place is not usable; then nothing is written.
     """
-    from warpdef.device import find_device
-    from warpdef.files import read_mesh
-    from warpdef.files.place_lock import claimed
-    from warpdef.files.run_folder import RunFolder
-    from warpdef.prepare import Safeguards, read_input
+    with uncollected():
+        from warpdef.device import find_device
+        from warpdef.files import read_mesh
+        from warpdef.files.place_lock import claimed
+        from warpdef.files.run_folder import RunFolder
+        from warpdef.prepare import Safeguards, read_input
 
     total, watch = Stopwatch(), Stopwatch()
     same_place = saved is not None and RunFolder(Path(os.path.realpath(output)), True).checkpoint == saved.path
@@ -214,7 +216,8 @@ def run_to_folder(
 
         tell = shown.enter_context(_shown_live(sequence, display, output)) if how.live else display
 
-        from warpdef.pipeline import reconstruct as reconstruct_sequence
+        with uncollected():
+            from warpdef.pipeline import reconstruct as reconstruct_sequence
 
         where = str(source.resolve()) if isinstance(source, Path) else ""
         try:

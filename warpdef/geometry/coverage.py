@@ -21,16 +21,12 @@ JUDGED = 100
 """Points from which a cloud's area says something; a smaller one counts as complete."""
 
 
-def shown_area(points: np.ndarray) -> float:
-    """Area of the surface that points (N, 3) lie on: of the discs to their 16th neighbours, in their unit squared."""
-    from scipy.spatial import cKDTree
-
-    distance, _ = cKDTree(points).query(points, k=min(AREA_NEIGHBOURS, len(points)))
-    return area_of_discs(distance)
-
-
 def area_of_discs(distance: np.ndarray) -> float:
-    """The same from the distances of all points to their nearest neighbours, (N, k), themselves first."""
+    """Area of the surface that points lie on: of the discs to their 16th neighbours, in their unit squared.
+
+    Args:
+        distance: of all points to their nearest neighbours, themselves first, (N, k).
+    """
     # As many points stand for the disc to the last neighbour as lie inside it.
     return float(np.pi * (distance[:, -1] ** 2).sum() / max(distance.shape[1] - 1, 1))
 
@@ -61,25 +57,26 @@ def point_areas(points: np.ndarray) -> np.ndarray:
     """Area that each point stands for, shape (N,): of the disc to its 16th neighbour, made robust at borders."""
     from scipy.spatial import cKDTree
 
-    count = min(AREA_NEIGHBOURS, len(points) - 1)
-    distance, index = cKDTree(points).query(points, k=count + 1)
-    area = np.pi * distance[:, -1] ** 2 / count
-    return np.maximum(np.quantile(area[index], INNER_QUANTILE, axis=1), 1e-300)
+    return _point_areas(*cKDTree(points).query(points, k=min(AREA_NEIGHBOURS, len(points) - 1) + 1))
 
 
-def objects_of(points: np.ndarray) -> np.ndarray:
+def _point_areas(distance: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """The same from the nearest neighbours of all points, themselves first, both (N, 17) or more."""
+    count = min(AREA_NEIGHBOURS, distance.shape[1] - 1)
+    area = np.pi * distance[:, count] ** 2 / count
+    return np.maximum(np.quantile(area[index[:, : count + 1]], INNER_QUANTILE, axis=1), 1e-300)
+
+
+def objects_of(points: np.ndarray, near: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
     """Which object each point belongs to, shape (N,): 0 for the one with most points, and so on; -1 for none.
 
     Objects are connected clusters with at least ``OBJECT_SHARE`` of the points. There is always one.
 
     Args:
-        points: shape (N, 3), free of outliers.
+        points: shape (N, 3), free of outliers. near: ``link_neighbours`` of them, where these are known.
     """
-    from scipy.spatial import cKDTree
-
-    count = min(LINK_NEIGHBOURS, len(points) - 1)
-    distance, index = cKDTree(points).query(points, k=count + 1)
-    reach = LINK_REACH * np.sqrt(point_areas(points))
+    distance, index = near or link_neighbours(points)
+    reach = LINK_REACH * np.sqrt(_point_areas(distance, index))
     # The sparser of the two decides: density may change along a surface.
     linked = distance <= np.maximum(reach[:, None], reach[index])
     rows = np.repeat(np.arange(len(points)), linked.sum(axis=1))
@@ -92,6 +89,21 @@ def objects_of(points: np.ndarray) -> np.ndarray:
     return number[labels]
 
 
+def link_neighbours(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and numbers of the neighbours that a point may be linked to, itself first, both (N, 33)."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points).query(points, k=min(LINK_NEIGHBOURS, len(points) - 1) + 1)
+
+
 def object_count(points: np.ndarray) -> int:
     """Number of objects in points (N, 3), at least 1."""
     return int(objects_of(points).max()) + 1 if len(points) > 1 else 1
+
+
+def area_and_objects(points: np.ndarray) -> tuple[float, int]:
+    """``area_of_discs`` and ``object_count`` of points (N, 3), whose neighbours are looked for once."""
+    if len(points) <= 1:
+        return 0.0, 1
+    near = link_neighbours(points)
+    return area_of_discs(near[0][:, :AREA_NEIGHBOURS]), int(objects_of(points, near).max()) + 1

@@ -9,7 +9,7 @@ import numpy as np
 
 from warpdef.config import KeyframeConfig
 from warpdef.errors import InputError
-from warpdef.geometry.coverage import complete_frames, object_count, shares_of_fullest, shown_area
+from warpdef.geometry.coverage import area_and_objects, complete_frames, shares_of_fullest
 
 SAMPLE = 2500  # points of a frame from which its area and its objects are told
 SPREAD = 0.12  # of the frames: how far apart in time further keyframes should be
@@ -129,8 +129,8 @@ def compare_frames(clouds: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray
     Of a large cloud ``SAMPLE`` points speak for all.
     """
     samples = [_sample(cloud) for cloud in clouds]
-    area = np.array([shown_area(sample) for sample in samples])
-    return area, np.array([len(s) for s in samples]), np.array([object_count(sample) for sample in samples])
+    area, objects = zip(*map(area_and_objects, samples), strict=True)
+    return np.array(area), np.array([len(s) for s in samples]), np.array(objects)
 
 
 def _sample(points: np.ndarray) -> np.ndarray:
