@@ -6,7 +6,7 @@ from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
 
 import pytest
 
-from warpdef.config import Config, OptimiserConfig
+from warpdef.config import Config, LossConfig, OptimiserConfig
 from warpdef.config_values import parse_slice
 from warpdef.errors import ConfigError
 from warpdef.files.config_file import config_from_mapping
@@ -17,7 +17,7 @@ FROM_ZERO = ([-1e-6], [0, 5.0])
 COUNT = ([0, -3], [1, 7])
 FREE = ([], [True, False])
 
-# field: values refused, values taken. A new field without an entry fails the test below.
+# field: values refused, values taken. A new field without an entry fails the test below; weights of the loss are alike.
 BOUNDS: dict[str, tuple[list, list]] = {
     "frames": (["3", "a:b", "1:2:0", "1:2:3:4", "1.5:2"], ["", ":", "10:27", "::2", "-5:", "27:10:-1"]),
     "points": ([-1, 1, 9], [0, 10, 5000]),
@@ -59,10 +59,6 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "sobolev.tolerance": ([0, 1, -1e-3], [1e-8, 0.5]),
     "sobolev.iterations_max": COUNT,
     "loss.reduction": (["max"], ["sum", "mean"]),
-    "loss.mesh_weight": FROM_ZERO,
-    "loss.input_weight": FROM_ZERO,
-    "loss.transform_weight": FROM_ZERO,
-    "loss.isometry_weight": FROM_ZERO,
     "loss.robust_alpha": FROM_ZERO,
     "loss.robust_power": ([0, 1, 3], [2, 4]),
     "loss.tangential": ([-0.1, 1.1], [0, 1]),
@@ -96,6 +92,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "refine.tolerance": ([0, 1, -1e-3], [1e-8, 0.5]),
     "refine.iterations_max": COUNT,
     "refine.recover": FREE,
+    **{f"loss.{field.name}": FROM_ZERO for field in fields(LossConfig) if field.name.endswith("_weight")},
 }
 
 
@@ -114,6 +111,7 @@ def all_keys() -> list[str]:
 
 def test_every_field_has_bounds_here():
     assert sorted(BOUNDS) == sorted(all_keys())
+    assert {"loss.mesh_weight", "loss.isometry_weight"} <= set(BOUNDS)
 
 
 @pytest.mark.parametrize(("key", "value"), [(key, value) for key, (bad, _) in BOUNDS.items() for value in bad])

@@ -27,13 +27,14 @@ FLOORS_INSIDE = (
     ("errors", "kernel_cache"),
     ("config_values",),
     ("cloud", "config", "device", "geometry", "texture", "transitions"),
-    ("appearance", "memory", "presets", "sequence"),
-    ("cleaning", "mesh", "shortage"),
+    ("appearance", "presets", "sequence"),
+    ("cleaning", "mesh"),
     ("motion", "progress", "quality", "rig", "template", "vertex_measures"),
     ("result",),
     ("files",),
     ("datasets", "export", "fit", "truth"),
-    ("prepare",),
+    ("memory",),
+    ("prepare", "shortage"),
     ("pipeline", "run_clouds"),
 )
 """Rooms of warpdef/, a file or a folder each, from the ground up. A room imports from floors below its own only."""

@@ -186,8 +186,9 @@ class LossConfig:
 
     def __post_init__(self) -> None:
         require(self.reduction in ("sum", "mean"), "loss.reduction", "sum or mean", self.reduction)
-        for key in ("mesh_weight", "input_weight", "transform_weight", "isometry_weight", "robust_alpha"):
-            require(getattr(self, key) >= 0, f"loss.{key}", "a number from 0", getattr(self, key))
+        for key, value in vars(self).items():
+            if key.endswith("_weight") or key == "robust_alpha":
+                require(value >= 0, f"loss.{key}", "a number from 0", value)
         require(self.robust_power in (2, 4), "loss.robust_power", "2 or 4", self.robust_power)
         require(0 <= self.tangential <= 1, "loss.tangential", "0 to 1", self.tangential)
         require(self.confidence_bound in ("max", "mean"), "loss.confidence_bound", "max or mean", self.confidence_bound)

@@ -18,14 +18,12 @@ import warp as wp
 from warpdef.config import Config
 from warpdef.device import is_cuda
 from warpdef.errors import InputError
+from warpdef.fit.pool import MATRIX, NODE, VECTOR
+from warpdef.fit.terms import VERTEX_TERMS
 from warpdef.kernels.cells import CELLS_MAX
-from warpdef.kernels.isometry import path_width
-from warpdef.kernels.ways import VERTICES_PER_TASK
 
 GIB = 2**30
 _PROCESS = 300 * 2**20  # interpreter, Warp's compiler, loaded kernels, libraries
-VECTOR, MATRIX, NODE, INDEX = 12, 36, 32, 4
-"""Bytes of three, nine and eight float32, and of an int32."""
 _OTHERS = ("grids", "input term")  # owners in the pool that do not grow with the vertices
 _TEMPLATE_POINT = 4_000  # bytes a keyframe point takes in screened Poisson and remeshing, measured
 
@@ -103,8 +101,7 @@ def pooled_bytes(points: Sequence[int], vertices: int, config: Config) -> dict[s
         # Rotations, places, gradient.
         "input term": 3 * VECTOR * moved + 8 * transitions,
         "transform term": 8 * frames,
-        # Paths, and a loss a task.
-        "isometry term": VECTOR * vertices * path_width(frames) + 8 * frames * -(-vertices // VERTICES_PER_TASK),
+        **{term.owner: term.bytes_of(frames, vertices) for term in VERTEX_TERMS},
     }
 
 

@@ -8,9 +8,9 @@ import warp as wp
 from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.apps.benchmark.peers import add_rows, chamfer_numpy, isometry_numpy
 from warpdef.device import Way, on_host
+from warpdef.fit.pool import INDEX, VECTOR
 from warpdef.kernels.chamfer import fixed_to_moving, moving_to_fixed
 from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
-from warpdef.memory import INDEX, VECTOR
 
 _PAIR = 45  # flops of one residual and its gradient, by hand; the exponential counted as 10
 _EDGE = 40

@@ -8,9 +8,9 @@ import warp as wp
 from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.apps.benchmark.kernels import adj_sample_only, rotate_only, sample_only
 from warpdef.apps.benchmark.peers import rotate_numpy, sample_scipy, scatter_numpy, torch_peers
+from warpdef.fit.pool import NODE
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_points, move_vertices, scatter_vertices
-from warpdef.memory import NODE
 
 # By hand: a cell's place 21; seven interpolations of eight floats; the sum. With derivatives four more differences and
 # three more sums. Scattering splits a register seven times and adds eight.

@@ -12,13 +12,13 @@ from warpdef.apps.benchmark.peers import add_rows
 from warpdef.apps.benchmark.refine_peers import block_cg_scipy, planes_numpy, rotations_numpy, vertex_normals_numpy
 from warpdef.apps.benchmark.timing import DeviceTimer, Timing
 from warpdef.device import frame_of, on_host
+from warpdef.fit.pool import INDEX, MATRIX, VECTOR
 from warpdef.fit.refine import Refinement
 from warpdef.fit.workers import Team
 from warpdef.kernels.block_cg import BlockSolver
 from warpdef.kernels.pairs import pairs_of
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 from warpdef.kernels.rigidity import fit_rotations, rest_rhs, rigid_rhs
-from warpdef.memory import INDEX, MATRIX, VECTOR
 
 _RIGIDITY = 0.1
 ROUND = "vertex stage: a round"

@@ -10,9 +10,9 @@ import warp as wp
 
 from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.device import on_host
+from warpdef.fit.pool import INDEX, VECTOR
 from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.neighbours import NearestSearch
-from warpdef.memory import INDEX, VECTOR
 
 
 def search_cases(bed: Bed) -> list[Case]:

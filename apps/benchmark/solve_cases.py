@@ -13,6 +13,7 @@ from warpdef.apps.benchmark.bed import Bed, Case, Peer, run_tasks
 from warpdef.apps.benchmark.peers import Factored, cosine_numpy
 from warpdef.config import Config
 from warpdef.device import Way
+from warpdef.fit.pool import NODE
 from warpdef.fit.sobolev import factorise, level_lambdas
 from warpdef.kernels.adam import adam
 from warpdef.kernels.cg import ConjugateGradients
@@ -21,7 +22,6 @@ from warpdef.kernels.cosine import CosineSolver
 from warpdef.kernels.graphs import Graph, grid_graph, kept_nodes
 from warpdef.kernels.levels import node8
 from warpdef.kernels.schedule import SCHEDULE_SIZE
-from warpdef.memory import NODE
 
 _WARM_SHARE = 0.01
 

@@ -23,7 +23,7 @@ import warp as wp
 from warpdef.fit.chain import Chain
 from warpdef.fit.correspondences import cloud_grid
 from warpdef.fit.problem import Problem
-from warpdef.fit.terms import InputTerm, Sums, TransformTerm, VertexTerm, vertex_terms
+from warpdef.fit.terms import VERTEX_TERMS, InputTerm, Sums, TransformTerm, VertexTerm
 from warpdef.fit.workers import Phase, Task
 from warpdef.kernels.confidence import confidence
 from warpdef.kernels.vectors import clear_vectors
@@ -46,7 +46,7 @@ class Objective:
         sample = clouds if p.sample is p.clouds else cloud_grid(p, p.sample)
         self.input = InputTerm(p, sample, self.chain, adj_nodes)
         self.transform = TransformTerm(p, clouds, self.chain, self.sums.weighed)
-        self.terms: list[VertexTerm] = [self.transform, *vertex_terms(p, self.chain, self.sums)]
+        self.terms: list[VertexTerm] = [self.transform, *(term(p, self.chain, self.sums) for term in VERTEX_TERMS)]
         self.confidence = wp.full(p.frame_count, 1.0, dtype=wp.float32, device=p.device)
 
     @property

@@ -12,6 +12,9 @@ from typing import Any
 
 import warp as wp
 
+VECTOR, MATRIX, NODE, INDEX = 12, 36, 32, 4
+"""Bytes of three, nine and eight float32, and of an int32."""
+
 Borrow = Callable[[Any, tuple[int, ...]], wp.array]
 
 

@@ -2,7 +2,7 @@
 
 A term on the template's vertices adds the gradient of its weighted loss to one of two sums over all such terms, each of
 shape (T, V): ``weighed``, which the confidence of a frame weighs, or ``plain``. Its tasks are spans of frames or spans
-of vertices over all frames. A new one is a kernel, a class here that ``vertex_terms`` names, and its weight in
+of vertices over all frames. A new one is a kernel, a class here that ``VERTEX_TERMS`` names, and its weight in
 ``config.LossConfig``. The input term moves points of its own, and adds to the nodes.
 """
 
@@ -17,12 +17,14 @@ import warp as wp
 from warpdef.device import Way
 from warpdef.fit.chain import Chain
 from warpdef.fit.correspondences import Correspondences
+from warpdef.fit.pool import VECTOR
 from warpdef.fit.problem import Problem
 from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.chamfer import BOTH_SIDES, fixed_to_moving, moving_to_fixed
 from warpdef.kernels.isometry import isometry, isometry_of_vertices, lay_paths, path_width
 from warpdef.kernels.motion import adj_move_points, move_points
 from warpdef.kernels.vectors import clear_columns, clear_losses, clear_vectors
+from warpdef.kernels.ways import VERTICES_PER_TASK
 
 # How far apart a point and its partner's partner may be where a cloud shows part of the surface (``chamfer``): about as
 # far as on a surface that both sets cover. Twice that, and the rim of what is seen draws the unseen over, bit by bit.
@@ -51,10 +53,12 @@ class Sums:
 class VertexTerm(Protocol):
     """A loss on the vertices of all frames.
 
+    owner: under which the pool counts its buffers.
     spans: what a task of it covers: ``frames`` (first, last), or ``vertices`` (first, last) in all frames.
     weighed: whether the confidence weighs it; says which of the sums ``run`` adds to.
     """
 
+    owner: str
     spans: Spans
     weighed: bool
 
@@ -67,11 +71,6 @@ class VertexTerm(Protocol):
     def losses(self, confidence: np.ndarray) -> dict[str, float]:
         """Weighted, as it enters the objective, by the names under which it is told."""
         ...
-
-
-def vertex_terms(problem: Problem, chain: Chain, sums: Sums) -> list[VertexTerm]:
-    """All terms on vertices but the transform term, which others ask for by name."""
-    return [IsometryTerm(problem, chain, sums.plain)]
 
 
 class InputTerm:
@@ -138,6 +137,7 @@ class TransformTerm:
     sides: which pairs of a vertex with its nearest point count (``chamfer``).
     """
 
+    owner = "transform term"
     spans: Spans = "frames"
     weighed = True
 
@@ -147,7 +147,7 @@ class TransformTerm:
         frames = p.frame_count
         sizes = np.full(frames, p.vertex_count)
         self.correspondences = Correspondences(p, p.clouds, grid, self._vertices, sizes, p.vertex_frame, p.cloud_frame)
-        (self.loss,) = p.pool.own("transform term", wp.float64, frames)
+        (self.loss,) = p.pool.own(self.owner, wp.float64, frames)
         self._factors = np.full(frames, config.transform_weight / len(p.transitions))
         self._factors[p.transitions.keyframe] = config.mesh_weight
         self._weight = p.numbers(self._factors)
@@ -192,21 +192,27 @@ class IsometryTerm:
     loss: unweighted, shape (parts, T) float64, a part a task, to be summed over parts.
     """
 
+    owner = "isometry term"
     spans: Spans = "vertices"
     weighed = False
 
-    def __init__(self, problem: Problem, chain: Chain, adjoint: wp.array) -> None:
+    def __init__(self, problem: Problem, chain: Chain, sums: Sums) -> None:
         p = self._problem = problem
-        self._vertices, self._adjoint = chain.vertices, adjoint
+        self._vertices, self._adjoint = chain.vertices, sums.plain
         self._factor, self._share = p.config.loss.isometry_weight, 1.0 / (len(p.transitions) * len(p.edges))
         parts = p.vertex_spans()
         self._part = {first: part for part, (first, _) in enumerate(parts)}
-        (self.loss,) = p.pool.own("isometry term", wp.float64, (len(parts), p.frame_count))
+        (self.loss,) = p.pool.own(self.owner, wp.float64, (len(parts), p.frame_count))
         self._by_vertex = p.way is Way.SPANS
         if self._by_vertex:
             shape = (p.vertex_count, 3, path_width(p.frame_count))
-            (self._paths,) = p.pool.own("isometry term", wp.float32, shape)
+            (self._paths,) = p.pool.own(self.owner, wp.float32, shape)
             self._mesh = p.integers(p.mesh.row), p.integers(p.mesh.column)
+
+    @staticmethod
+    def bytes_of(frames: int, vertices: int) -> int:
+        """Paths, and a loss a task."""
+        return VECTOR * vertices * path_width(frames) + 8 * frames * -(-vertices // VERTICES_PER_TASK)
 
     def moved(self, first: int, last: int) -> None:
         """Lay the paths of these vertices, which a register reads sixteen frames at a time."""
@@ -229,6 +235,21 @@ class IsometryTerm:
     def losses(self, confidence: np.ndarray) -> dict[str, float]:
         """As it enters the objective."""
         return {"isometry": self._factor * float(self.loss.numpy().sum())}
+
+
+class ListedTerm(VertexTerm, Protocol):
+    """A term that asks for nothing but the vertices, and says beforehand what its buffers take."""
+
+    def __init__(self, problem: Problem, chain: Chain, sums: Sums) -> None: ...
+
+    @staticmethod
+    def bytes_of(frames: int, vertices: int) -> int:
+        """Of what it owns in the pool, at most."""
+        ...
+
+
+VERTEX_TERMS: tuple[type[ListedTerm], ...] = (IsometryTerm,)
+"""All terms on vertices but the transform term, which others ask for by name."""
 
 
 def _shares(p: Problem, sizes: np.ndarray) -> wp.array:
