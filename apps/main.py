@@ -28,7 +28,7 @@ COMMANDS = {
     "datasets": "Say which true mesh sequences a folder holds, and what is wrong with them.",
     "experiment": "Run a whole table of the paper, or of our own, with published numbers beside ours.",
     "bench": "Measure the kernels and the whole iteration on this machine.",
-    "export": "Write a result for another program: glb, usd, pc2, mdd, pvd, obj, ply, npz, anime.",
+    "export": "Write a result for another program: glb, usd, pc2, mdd, pvd, obj, ply, stl, 3mf, bvh, npz, anime.",
     "deform": "Move other geometry, a denser or textured mesh or points, as a result moves.",
     "view": "Show a result in a window, or as pictures, a movie or a web page.",
 }

@@ -57,8 +57,8 @@ def reconstruct(
     """Reconstruct one moving mesh from a sequence of point clouds.
 
     Args:
-        input: Folder of numbered clouds (ply, obj, off, xyz, npy, pcd, las, laz), or an npz with points and, if known,
-            normals.
+        input: Folder of numbered clouds or meshes (ply, obj, npy, pcd, las, e57, glb, xyz, csv and others), or an npz
+            with points and, if known, normals.
         output: Folder for the result.
         resume: OUTPUT of a run that was cut short, to go on from its last checkpoint with the same input (INPUT only
             if it lies elsewhere now), to the same result.
