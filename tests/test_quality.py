@@ -72,6 +72,13 @@ def frames(assessment: Assessment) -> list[Any]:
     return list(assessment.frames)
 
 
+def test_frames_side_by_side_are_judged_as_one_after_the_other(meshes, clouds) -> None:
+    gap = [*clouds[:2], clouds[2][:0], *clouds[3:]]
+    one, many = (quality.assess(gap, meshes, FACES, KEYFRAME, threads=n) for n in (1, 3))
+    assert one.as_dict() == many.as_dict() and [f.frame for f in many.frames] == list(range(FRAMES))
+    np.testing.assert_array_equal(one.confidence, many.confidence)
+
+
 def test_a_perfect_result_is_good(meshes, clouds) -> None:
     found = assess(clouds, meshes, FACES, KEYFRAME)
     assert names(found) == ["good"] * FRAMES and not found.warnings()

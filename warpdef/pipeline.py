@@ -17,7 +17,7 @@ import warp as wp
 
 import warpdef
 from warpdef.config import Config
-from warpdef.device import device_warnings, load_kernels, team_size
+from warpdef.device import device_warnings, load_kernels, team_size, usable_cores
 from warpdef.errors import MissingPackageError
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
@@ -136,7 +136,7 @@ def reconstruct(
                 result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=run.steps, motion=motion)
                 result.appearance = None if template is None else template.appearance
                 with clock.phase("assess"):
-                    judged = _assess(result, sequence)
+                    judged = _assess(result, sequence, threads or usable_cores())
                 result.report = _report(sequence, chosen, run, team.size, clock, estimate)
                 result.report["warnings"] += judged.pop("warnings")
                 ended = interruption.signal if run.stopped and interruption.asked else None
@@ -196,10 +196,10 @@ def _surface_normals(
     return [pca_normals(p, neighbours) if n is None else n for p, n in zip(clouds, given, strict=True)]
 
 
-def _assess(result: Reconstruction, sequence: PointSequence) -> dict:
+def _assess(result: Reconstruction, sequence: PointSequence, threads: int) -> dict:
     """What the clouds alone say of the result, for its report; the confidence goes into the result."""
     try:
-        found = assess(sequence.all_frames(), result.vertices, result.faces, result.keyframe)
+        found = assess(sequence.all_frames(), result.vertices, result.faces, result.keyframe, threads=threads)
     except MissingPackageError as error:  # no reason to lose a finished fit
         return {"warnings": [f"the frames are not judged: {error}"]}
     result.confidence = found.confidence

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -20,6 +21,8 @@ from warpdef.sequence import name_frames
 
 POINTS_JUDGED = 20_000
 """Points of a frame that are looked at; of larger clouds as many are drawn."""
+SIDE_BY_SIDE = 8
+"""Frames at most that are looked at at the same time: each takes some tens of megabytes meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,7 @@ def assess(
     faces: np.ndarray,
     keyframe: int,
     shape: np.ndarray | None = None,
+    threads: int = 1,
 ) -> Assessment:
     """Measure every frame of a result against its cloud and against the shape, and judge it.
 
@@ -83,6 +87,7 @@ def assess(
         keyframe: frame that the mesh was built on.
         shape: shape (V, 3), the shape that all frames should have; the keyframe's mesh if not given, and the keyframe
             itself is then held against the median of all frames' edges.
+        threads: frames looked at side by side; the answer is the same.
 
     Raises:
         MissingPackageError: gpytoolbox cannot be imported.
@@ -94,10 +99,10 @@ def assess(
     if shape is None and len(vertices) > 2:
         usual = np.median([reference.edge_lengths(v - centre) for v in vertices], axis=0)
 
-    frames, coverages, stretches = [], [], []
     calm = flicker(vertices, faces), acceleration(vertices)
-    for t, points in enumerate(clouds):
-        points = draw_points(np.asarray(points, dtype=np.float64), None, POINTS_JUDGED, 0, t)[0]
+
+    def measure(t: int) -> tuple[FrameQuality, Coverage | None, np.ndarray]:
+        points = draw_points(np.asarray(clouds[t], dtype=np.float64), None, POINTS_JUDGED, 0, t)[0]
         placed = vertices[t] - centre
         change = reference.compare(placed, usual if t == keyframe else None)
         coverage = measure_coverage(points - centre, placed, faces) if len(points) else None
@@ -108,11 +113,15 @@ def assess(
             doubled = coverage.share(hidden[faces].mean(axis=1))
         blur = None if coverage is None or reference.thin is None else coverage.noise / reference.thin
         layers = {"inner": inner, "doubled": doubled, "blur": blur}
-        frames.append(_frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm)))
-        coverages.append(coverage)
-        stretches.append(change.stretch)
+        quality = _frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm))
+        return quality, coverage, change.stretch
+
+    # Trees are built and searched outside of the interpreter's lock.
+    with ThreadPoolExecutor(min(threads, SIDE_BY_SIDE)) as pool:
+        measured = list(pool.map(measure, range(len(clouds))))
+    coverages, stretches = [coverage for _, coverage, _ in measured], [stretch for _, _, stretch in measured]
     confidence = vertex_confidence(coverages, stretches, reference.edges, faces, vertices.shape[1])
-    return Assessment(frames, [judge(frame) for frame in frames], confidence)
+    return Assessment([frame for frame, _, _ in measured], [judge(frame) for frame, _, _ in measured], confidence)
 
 
 def _frame(
