@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from warpdef.apps.console import clean_stdout, say
-from warpdef.apps.exit_codes import EXIT_OK
+from warpdef.apps.console import ProgressDisplay, clean_stdout, say
+from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_OK
 from warpdef.apps.viewer.movie import check_outputs
 from warpdef.config_values import parse_slice
 from warpdef.errors import InputError
@@ -230,7 +230,7 @@ def _write_pictures(
     movie: Path | None,
     turntable: bool,
 ) -> None:
-    from warpdef.apps.viewer.movie import save_picture, write_movie
+    from warpdef.apps.viewer.movie import movie_steps, save_picture, write_movie
     from warpdef.apps.viewer.sheet import contact_sheet
 
     try:
@@ -243,8 +243,9 @@ def _write_pictures(
             _report(screenshot, started, f"{min(sheet, count)} frames" if sheet else f"frame {frame}")
         if movie is not None:
             started = time.perf_counter()
-            with clean_stdout():
-                count = write_movie(scene, movie, fps, turntable)
+            with clean_stdout(), ProgressDisplay() as display:
+                display.start("movie", len(movie_steps(count, fps, turntable)), "pictures")
+                count = write_movie(scene, movie, fps, turntable, display)
             _report(movie, started, f"{count} pictures")
     finally:
         scene.close()
@@ -252,8 +253,10 @@ def _write_pictures(
 
 def _open_window(scene: Scene, fps: float, frame: int, title: str, camera: Path | None) -> None:
     from warpdef.apps.viewer.player import Player
+    from warpdef.apps.viewer.screen import explain_loss
     from warpdef.apps.viewer.window import Window
 
+    explain_loss(say, EXIT_ERROR)
     with clean_stdout():
         try:
             player = Player(len(scene.content), fps, frame)

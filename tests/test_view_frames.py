@@ -107,7 +107,7 @@ def test_a_turn_goes_about_the_up_axis(up):
     expected = fit_camera(points, up, 1.0, stand=Stand(110.0, 15.0))
     found = turned(camera, up, 90.0)
     back = [(c.position - c.focus) / c.distance for c in (found, expected)]
-    np.testing.assert_allclose(*back, atol=1e-9)
+    np.testing.assert_allclose(back[0], back[1], atol=1e-9)
     np.testing.assert_allclose(found.up, expected.up, atol=1e-9)
     np.testing.assert_allclose(found.focus, camera.focus)
 

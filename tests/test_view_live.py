@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from present import present
-from test_view_window import display, needs_screen  # noqa: F401
+from test_view_window import display, needs_screen, screen  # noqa: F401
 from view_samples import BAR, VERTICES, drawing  # noqa: F401
 
 from warpdef.apps.viewer import live
@@ -120,6 +120,16 @@ def test_a_window_that_crashes_is_told_once(monkeypatch, told):
     assert hand.asked == 0 and len(told) == 1
     for part in ("SIGSEGV", "Failed to load", "apt-get install", "libgl1", "goes on without a window"):
         assert part in told[0]
+
+
+def test_a_screen_that_goes_away_is_named(monkeypatch, told):
+    lost = "import sys; sys.exit('X connection to :99 broken (explicit kill or server shutdown).')"
+    view, hand = start(monkeypatch, told, lost), CountedHand()
+    present(view._process).wait()
+    view(hand.progress())
+    view.close()
+    (line,) = told
+    assert "the screen DISPLAY=:99" in line and "apt-get" not in line and "goes on without a window" in line
 
 
 def test_without_a_screen_nothing_is_started(monkeypatch, told):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-
 import numpy as np
 import pytest
 from present import present
@@ -12,15 +10,13 @@ from view_samples import BAR, FRAMES, VERTICES, save_clouds, save_run, save_trut
 
 from warpdef.apps.main import run
 from warpdef.apps.view import parse_size
-from warpdef.apps.viewer import probe as view_probe
 from warpdef.apps.viewer.actors import point_spacing
 from warpdef.apps.viewer.checker import checker_places
 from warpdef.apps.viewer.colouring import material_colors, spread_out_vertices
 from warpdef.apps.viewer.content import Pane, load_content
-from warpdef.apps.viewer.movie import movie_steps
+from warpdef.apps.viewer.movie import duration, movie_forecast, movie_steps
 from warpdef.apps.viewer.player import SPEEDS, Player
-from warpdef.apps.viewer.probe import RenderingProbe
-from warpdef.errors import InputError, MissingPackageError
+from warpdef.errors import InputError
 from warpdef.export.vertex_normals import vertex_normals
 from warpdef.geometry.triangles import unique_edges
 from warpdef.mesh import MeshSequence, TriMesh
@@ -83,6 +79,15 @@ def test_movies():
     steps = movie_steps(17, 12.0, True)
     assert len(steps) == 85 and [f for f, _ in steps] == list(range(17)) * 5
     np.testing.assert_allclose([turn for _, turn in steps], np.arange(85) * 360 / 85)
+
+
+def test_a_forecast_is_made_from_the_first_pictures():
+    # The first takes 5 s to set up, the others 2 s each: 5 + 84 * 2 s.
+    begun = [0.0, 5.0, 7.0, 9.0, 11.0, 13.0]
+    said = [movie_forecast(begun[: k + 1], 85) for k in range(len(begun))]
+    assert said == ["", "", "", "", "about 3 min for 85 pictures", ""]
+    assert movie_forecast(begun[:5], 5) == ""  # nearly done
+    assert [duration(s) for s in (0.2, 12.4, 200.0, 9000.0)] == ["1 s", "12 s", "3 min", "2.5 h"]
 
 
 @pytest.mark.parametrize(("text", "size"), [("", (1280, 720)), ("640x480", (640, 480)), ("100X64", (100, 64))])
@@ -263,62 +268,6 @@ def test_content_that_does_not_fit(tmp_path):
 
 def test_an_empty_pane_has_no_surface():
     assert Pane("input", clouds=BAR.clouds).surface(0) is None
-
-
-class Machine:
-    """A pretended machine on which the trial of rendering ends as a test wants it."""
-
-    def __init__(self, monkeypatch, program: str) -> None:
-        monkeypatch.setattr(view_probe, "_PROGRAM", program)
-
-
-@pytest.mark.parametrize(
-    ("program", "expected"),
-    [
-        (
-            "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
-            ["SIGSEGV", "apt-get install libegl1 libgl1-mesa-dri;"],
-        ),
-        ("raise ImportError('libXrender.so.1: cannot open')", ["libXrender.so.1", "libgl1-mesa-dri libxrender1;"]),
-        ("raise SystemExit('nothing was drawn')", ["nothing was drawn"]),
-        (
-            "raise SystemExit('\\x1b[33m2026 [7F] window.c:6 WARN| Failed to load EGL!\\x1b[0m\\nthe last line')",
-            ["(it ended with 1: Failed to load EGL!)"],
-        ),
-        ("import os, signal; os.kill(os.getpid(), 40)", ["signal 40"]),
-    ],
-)
-def test_a_machine_that_cannot_draw(monkeypatch, tmp_path, capfd, program, expected):
-    Machine(monkeypatch, program)
-    out = save_run(tmp_path / "out")
-    assert run(["view", str(out), "--screenshot", str(tmp_path / "a.png")]) == 2
-    err = capfd.readouterr().err
-    assert err.startswith("warpdef: error: this machine cannot draw") and err.count("\n") == 1
-    assert [part for part in [*expected, "--html FILE.html` and `warpdef export` work"] if part not in err] == []
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["out"]
-
-
-def test_a_page_needs_no_drawing(monkeypatch, tmp_path):
-    Machine(monkeypatch, "import os; os.abort()")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    assert run(["view", str(save_run(tmp_path / "out")), "--html", str(tmp_path / "a.html")]) == 0
-    assert (tmp_path / "a.html").stat().st_size > 10_000
-
-
-def test_a_trial_that_hangs_is_ended(monkeypatch):
-    Machine(monkeypatch, "import time; time.sleep(600)")
-    monkeypatch.setattr(view_probe, "_SECONDS", 0.2)
-    probe = RenderingProbe(window=False)
-    with pytest.raises(MissingPackageError, match="no picture after"):
-        probe.require()
-    assert probe._process.poll() is not None
-
-
-def test_no_screen_no_window(monkeypatch, tmp_path, capfd):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.setattr(subprocess, "Popen", None)
-    assert run(["view", str(save_run(tmp_path / "out"))]) == 2
-    assert "no screen for a window (DISPLAY is not set); use --screenshot" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -201,8 +201,10 @@ def test_a_gif(out, tmp_path):
     assert differs(frames[0], frames[4]) > 0.01
 
 
-def test_a_turntable(out, tmp_path):
+def test_a_turntable(out, tmp_path, capfd):
     assert run(["view", str(out), "--movie", str(tmp_path / "a.gif"), "--turntable", "--fps", "2", *SIZE]) == 0
+    first, second = capfd.readouterr().err.splitlines()
+    assert first == "movie: 15 pictures" and second.endswith("s for 15 pictures")
     with Image.open(tmp_path / "a.gif") as movie:
         assert movie.n_frames == 15  # three rounds of five frames, so that the turn takes six seconds
         first, same_frame = [], []

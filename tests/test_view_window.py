@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from present import present
 from view_samples import drawing, save_clouds, save_run, save_truth  # noqa: F401
 
 from warpdef.apps.viewer.window import HELP, KEYS
@@ -96,8 +97,8 @@ print(json.dumps({"seen": seen, "colours": colours, "slid": slid, "dragged": dra
 
 
 @pytest.fixture
-def display(tmp_path):
-    """A virtual screen; its name goes into the environment of what is started on it."""
+def screen():
+    """A virtual screen: its server, and an environment for what is started on it."""
     read, write = os.pipe()
     command = [XVFB, "-displayfd", str(write), "-screen", "0", "800x600x24", "-nolisten", "tcp", "-noreset"]
     server = subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL)
@@ -105,10 +106,16 @@ def display(tmp_path):
     with os.fdopen(read) as stream:
         number = stream.readline().strip()
     try:
-        yield {**os.environ, "DISPLAY": f":{number}"}
+        yield server, {**os.environ, "DISPLAY": f":{number}"}
     finally:
         server.terminate()
         server.wait(timeout=20)
+
+
+@pytest.fixture
+def display(screen):
+    """The environment alone."""
+    return screen[1]
 
 
 @pytest.fixture
@@ -193,4 +200,18 @@ def test_a_screen_that_is_not_there(out):
     environment = {**os.environ, "DISPLAY": ":54321"}
     done = subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2 and done.stderr.count("\n") == 1
-    assert done.stderr.startswith("warpdef: error: this machine cannot draw")
+    assert done.stderr.startswith("warpdef: error: the screen DISPLAY=:54321 does not answer")
+
+
+@needs_screen
+@pytest.mark.usefixtures("drawing")
+def test_a_screen_that_is_lost_meanwhile(out, screen):
+    server, environment = screen
+    arguments = [sys.executable, "-m", "warpdef.apps.main", "view", str(out)]
+    process = subprocess.Popen(arguments, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    first = present(process.stderr).readline()
+    server.kill()
+    text, err = process.communicate(timeout=120)
+    assert first == "warpdef: h in the window lists the keys\n" and text == ""
+    assert process.returncode == 2
+    assert err.startswith(f"warpdef: error: the screen DISPLAY={environment['DISPLAY']} ") and err.count("\n") == 1

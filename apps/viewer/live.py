@@ -18,7 +18,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpdef.apps.viewer.probe import advice, has_screen, why_it_ended
+from warpdef.apps.viewer.probe import explained
+from warpdef.apps.viewer.screen import has_screen
 
 if TYPE_CHECKING:
     from warpdef.progress import Progress
@@ -135,7 +136,7 @@ class LiveView:
             self._process = None
             return
         text = (self._folder / "errors").read_text(errors="replace")
-        self._give_up(advice(why_it_ended(code, text)))
+        self._give_up(explained(code, text, window=True))
 
     def _give_up(self, why: str) -> None:
         self._say(f"warpdef: --live: {why}; the run goes on without a window")

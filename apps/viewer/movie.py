@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +14,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from warpdef.apps.viewer.scene import Scene
+    from warpdef.progress import Callback
 
 MOVIES = (".mp4", ".gif")
 PICTURES = (".png", ".jpg", ".jpeg")
+_MEASURED = 3  # pictures that a forecast is made from
 TURN_SECONDS = 6.0
 """Shortest time of a turntable's round."""
 
@@ -61,17 +64,25 @@ def movie_steps(total: int, fps: float, turntable: bool) -> list[tuple[int, floa
     return [(k % total, 360.0 * k / length) for k in range(length)]
 
 
-def write_movie(scene: Scene, path: Path, fps: float, turntable: bool) -> int:
+def write_movie(scene: Scene, path: Path, fps: float, turntable: bool, tell: Callback | None = None) -> int:
     """Write .mp4 or .gif; the file appears at once or not at all. Returns the number of pictures.
+
+    Args: tell: called with every picture, and after the first few with how long all of them will take.
 
     Raises:
         InputError: the file cannot be written.
         MissingPackageError: .mp4 without its package.
     """
+    from warpdef.progress import Progress
+
     steps = movie_steps(len(scene.content), fps, turntable)
 
     def pictures() -> Iterator[np.ndarray]:
-        for frame, turn in steps:
+        times = []
+        for done, (frame, turn) in enumerate(steps):
+            times.append(time.perf_counter())
+            if tell is not None:
+                tell(Progress("movie", done, len(steps), message=movie_forecast(times, len(steps))))
             if turntable:
                 scene.place_camera(turn, all_round=True)
             scene.show(frame)
@@ -82,6 +93,24 @@ def write_movie(scene: Scene, path: Path, fps: float, turntable: bool) -> int:
     else:
         _write_mp4(pictures(), path, fps)
     return len(steps)
+
+
+def movie_forecast(times: Sequence[float], count: int) -> str:
+    """How long ``count`` pictures will take in all, said once, when a few are made; empty at other times.
+
+    Args: times: when each picture so far was begun, seconds. What is set up with the first one is no measure.
+    """
+    if len(times) != _MEASURED + 2 or count < 2 * _MEASURED:
+        return ""
+    each = (times[-1] - times[1]) / _MEASURED
+    return f"about {duration(times[1] - times[0] + each * (count - 1))} for {count} pictures"
+
+
+def duration(seconds: float) -> str:
+    """Seconds, minutes or hours, as exact as a forecast is."""
+    if seconds < 90.0:
+        return f"{max(seconds, 1.0):.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
 def _write_gif(pictures: Iterator[np.ndarray], path: Path, fps: float) -> None:

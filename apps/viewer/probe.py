@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 import subprocess
 import sys
 
+from warpdef.apps.viewer.screen import has_screen, lost_screen, screen_lost
 from warpdef.errors import MissingPackageError
 
 PACKAGES = "libegl1 libgl1-mesa-dri"
@@ -51,6 +51,7 @@ class RenderingProbe:
                 "no screen for a window (DISPLAY is not set); use --screenshot FILE.png, --movie FILE.mp4 or "
                 "--html FILE.html, which need none"
             )
+        self._window = window
         self._process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, "window" if window else "picture"],
             stdin=subprocess.DEVNULL,
@@ -68,14 +69,15 @@ class RenderingProbe:
         """
         try:
             _, text = self._process.communicate(timeout=_SECONDS)
-            why = "" if self._process.returncode == 0 else why_it_ended(self._process.returncode, text)
+            code = self._process.returncode
+            why = "" if code == 0 else explained(code, text, self._window)
         except subprocess.TimeoutExpired:
-            why = f"no picture after {_SECONDS:.0f} s"
+            why = advice(f"no picture after {_SECONDS:.0f} s")
         finally:
             self.stop()
         if why:
             raise MissingPackageError(
-                f"{advice(why)}; without it `warpdef view OUT --html FILE.html` and `warpdef export` work"
+                f"{why}; without it `warpdef view OUT --html FILE.html` and `warpdef export` work"
             )
 
     def stop(self) -> None:
@@ -85,9 +87,11 @@ class RenderingProbe:
             self._process.communicate()
 
 
-def has_screen() -> bool:
-    """Whether an X server is named; VTK's Linux wheels draw windows by X only."""
-    return bool(os.environ.get("DISPLAY"))
+def explained(code: int, text: str, window: bool) -> str:
+    """Why a process that draws ended, and what to do: its screen was lost, or libraries are missing."""
+    if window and screen_lost(text) and "Failed to load" not in text:
+        return lost_screen()
+    return advice(why_it_ended(code, text))
 
 
 def advice(why: str) -> str:
