@@ -35,7 +35,7 @@ class Routes:
 
 
 @sizes("threads: 2*V; nodes: S M; levels: 2*L; level_count: L; vertices: T V; rotation_out jacobian_out: S V")
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 3))
 def _move_chains(
     # In:
     routes: Routes,

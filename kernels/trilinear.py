@@ -191,17 +191,18 @@ _VALUE_AND_DERIVATIVE = (
         dy = dy + (LOW(ey) + (HIGH(ey) - LOW(ey)) * fz) * hy;
         dz = dz + ez * hz;
     #else
-        const reg c000 = LOAD(q), c010 = LOAD(q + sy), c100 = LOAD(q + sx), c110 = LOAD(q + sx + sy);
-        const reg z00 = LOAD(q + sz) - c000, z01 = LOAD(q + sy + sz) - c010;
-        const reg z10 = LOAD(q + sx + sz) - c100, z11 = LOAD(q + sx + sy + sz) - c110;
-        const reg a00 = c000 + z00 * fz, a01 = c010 + z01 * fz, a10 = c100 + z10 * fz, a11 = c110 + z11 * fz;
-        const reg y0 = a01 - a00, y1 = a11 - a10;
-        const reg b0 = a00 + y0 * fy, b1 = a10 + y1 * fy;
-        const reg z0 = z00 + (z01 - z00) * fy, z1 = z10 + (z11 - z10) * fy;
-        sum = sum + b0 + (b1 - b0) * fx;
-        dx = dx + (b1 - b0) * hx;
-        dy = dy + (y0 + (y1 - y0) * fx) * hy;
-        dz = dz + (z0 + (z1 - z0) * fx) * hz;
+        // Edge by edge along z: two corners at a time are all that registers hold beside the four sums.
+        #pragma unroll 2
+        for (int edge = 0; edge < 4; ++edge) {
+            const bool far_x = edge / 2, far_y = edge % 2;
+            const float* const p = q + (far_x ? sx : 0) + (far_y ? sy : 0);
+            const float wx = far_x ? fx : 1.0f - fx, wy = far_y ? fy : 1.0f - fy;
+            const reg low = LOAD(p), rise = LOAD(p + sz) - low, between = low + rise * fz;
+            sum = sum + between * (wx * wy);
+            dx = dx + between * (far_x ? hx * wy : -hx * wy);
+            dy = dy + between * (far_y ? hy * wx : -hy * wx);
+            dz = dz + rise * (hz * wx * wy);
+        }
     #endif
     }
     const float share = 1.0f / (float)level_count;
