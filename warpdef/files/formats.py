@@ -1,7 +1,7 @@
 """The formats that hold one cloud or one mesh a file, by suffix: one table, and the way to read a file by it.
 
 A new format is a file with a function ``read(path) -> Surface`` and a line in ``FORMATS``. Files that hold all frames
-of a sequence have a table of their own, ``cloud_files.CONTAINERS``.
+of a sequence have a table of their own, ``cloud_archives.CONTAINERS``.
 """
 
 from __future__ import annotations

@@ -39,6 +39,11 @@ class KeyframeCandidate:
     objects: int
     why: str
 
+    @property
+    def standing(self) -> tuple[float, ...]:
+        """What comes before the score, the least first: complete frames, then those with most objects."""
+        return not self.full, -self.objects
+
 
 def require_keyframe(config: KeyframeConfig, frame_count: int) -> None:
     """Check a keyframe given by its number.
@@ -88,7 +93,7 @@ def rank_keyframes(clouds: Sequence[np.ndarray], config: KeyframeConfig) -> list
         weight = float(np.exp(-config.gamma * (frame - middle) ** 2))
         score = occupied * weight
         scored.append(KeyframeCandidate(frame, occupied, weight, score, float(seen), bool(full), int(apart), ""))
-    scored.sort(key=lambda c: (not c.full, -c.objects, -c.score, abs(c.frame - middle), c.frame))
+    scored.sort(key=lambda c: (*c.standing, -c.score, abs(c.frame - middle), c.frame))
     full = [c for c in scored if c.full]
     ranked = []
     for rank, candidate in enumerate(scored):
@@ -116,8 +121,7 @@ def spread_out(ranked: list[KeyframeCandidate], count: int) -> list[KeyframeCand
     while rest and len(chosen) < count:
         near = [min(abs(c.frame - other.frame) for other in chosen) for c in rest]
         worth = [
-            (not c.full, -c.objects, -c.score * (1.0 - np.exp(-((d / spread) ** 2))))
-            for c, d in zip(rest, near, strict=True)
+            (*c.standing, -c.score * (1.0 - np.exp(-((d / spread) ** 2)))) for c, d in zip(rest, near, strict=True)
         ]
         chosen.append(rest.pop(worth.index(min(worth))))
     return chosen
@@ -147,9 +151,7 @@ def occupied_voxels(points: np.ndarray, voxels: int) -> int:
 
 
 def _why(choice: str, rank: int, count: int, occupied: int, weight: float) -> str:
-    if choice in ("first", "middle"):
-        return f"the {choice} frame, as asked"
     if choice != "auto":
-        return "the frame asked for"
+        return "the frame asked for" if choice.isdecimal() else f"the {choice} frame, as asked"
     place = "best" if rank == 0 else f"number {rank + 1}"
     return f"{place} of {count} frames by coverage: {occupied} occupied voxels times {weight:.3f} for its place in time"
