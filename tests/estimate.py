@@ -139,9 +139,9 @@ def seconds_of(launch: Launch, own: dict[str, Callable[[Launch], float]]) -> flo
     return max(FLOOR, memory, own.get(launch.kernel, lambda _: 0.0)(launch))
 
 
-def estimates() -> dict[str, list[tuple[Launch, float]]]:
+def estimates(points: int = POINTS, subdivisions: int = SUBDIVISIONS) -> dict[str, list[tuple[Launch, float]]]:
     """Every launch of an iteration, of one of the paper's descent, of a frame settled and of a round, with its time."""
-    moving = synthetic.turning_ellipsoid(FRAMES, POINTS, np.random.default_rng(0), subdivisions=SUBDIVISIONS)
+    moving = synthetic.turning_ellipsoid(FRAMES, points, np.random.default_rng(0), subdivisions)
     config = Config()
     warm = replace(config, optimiser=replace(config.optimiser, warmup=1))
 

@@ -7,6 +7,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 import warp as wp
+from estimate import FLOOR, estimates, own_times
 from launches import FRAMES, KEYFRAME, count_all, counting, example_problem, small_grids, table
 
 from warpdef.device import Way, going
@@ -46,6 +47,18 @@ def test_what_is_asked_of_warp_is_counted() -> None:
     with counting() as nothing:
         a.flatten()
     assert not nothing.total and not nothing.allocations
+
+
+def test_the_estimate_knows_the_kernels_that_it_names() -> None:
+    """A kernel of another name would be taken for one pass over its arrays."""
+    found = estimates(points=100, subdivisions=2)
+    assert set(found) == set(BOUNDS)
+    launched = {launch.kernel for each in found.values() for launch, _ in each}
+    guide = Optimiser(example_problem(small_grids()), 9, team := Team(1))
+    team.close()
+    assert set(own_times(guide.problem)) <= launched
+    assert min(t for each in found.values() for _, t in each) >= FLOOR
+    assert all(launch.bytes > 0 for each in found.values() for launch, _ in each if launch.kernel != "fill")
 
 
 def test_a_frame_is_settled_alone() -> None:
