@@ -94,7 +94,7 @@ def lzf_compress(data: bytes) -> bytes:
 
 def pcd(points: np.ndarray, normals: np.ndarray | None, form: str, real: str = "8") -> bytes:
     """A PCD file in any of its three forms, with a field to be passed over."""
-    names = ["x", "y", "z", "rgb"] + ([] if normals is None else ["normal_x", "normal_y", "normal_z"])
+    names = ["x", "y", "z", "_"] + ([] if normals is None else ["normal_x", "normal_y", "normal_z"])
     kind = f"<f{real}"
     table = np.zeros(len(points), [(n, kind) for n in names])
     for i, name in enumerate("xyz"):

@@ -66,7 +66,7 @@ WHOLE = pcd(CLOUDS[0], None, "ascii")
         (WHOLE.replace(b"SIZE 8 8", b"SIZE 3 8"), "header"),
         (WHOLE.replace(b"COUNT 1 1 1 1", b"COUNT 1 1"), "header"),
         (WHOLE.replace(b"COUNT 1 1 1 1", b"COUNT 99999999 1 1 1"), "header"),
-        (WHOLE.replace(b"FIELDS x y z", b"FIELDS a b c"), "expected the fields x, y, z, got a, b, c, rgb"),
+        (WHOLE.replace(b"FIELDS x y z", b"FIELDS a b c"), "expected the fields x, y, z, got a, b, c, _"),
         (WHOLE.replace(b"POINTS 40", b"POINTS 41"), "expected 41 points.*truncated"),
         (WHOLE.replace(b"POINTS 40", b"POINTS 4000000000"), "expected 4000000000 points.*truncated"),
         (WHOLE.replace(b"0 0 0 1 0 0 0\nPOINTS", b"x\nPOINTS") + b"a b c", "expected numbers"),

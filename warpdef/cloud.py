@@ -1,6 +1,8 @@
-"""One cloud: checked, cleaned, and thinned."""
+"""One cloud: checked, cleaned, and thinned; what its points carry goes with them."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,21 +15,36 @@ SPACING_NEIGHBOURS = 8
 """Neighbours whose farthest tells a local spacing: sqrt(8 a / pi) on a surface with area a a point."""
 
 
-def check_cloud(
-    points: np.ndarray, normals: np.ndarray | None, name: str
-) -> tuple[np.ndarray, np.ndarray | None, int, int, bool]:
+class FramePoints(NamedTuple):
+    """What one frame holds: positions, input units, and what its points carry, None where that is unknown.
+
+    points: (N, 3). normals: (N, 3). colors: sRGB, (N, 3), uint8 once they are checked; before also fractions of 1.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray | None = None
+    colors: np.ndarray | None = None
+
+    def keep(self, chosen: np.ndarray) -> FramePoints:
+        """Those points, by a mask (N,) or by indices (M,), with all that they carry."""
+        return FramePoints(*(None if array is None else array[chosen] for array in self))  # type: ignore[arg-type]
+
+
+def check_cloud(cloud: FramePoints, name: str) -> tuple[FramePoints, int, int, bool]:
     """One frame, clean: duplicates merged, points that are no numbers left out, normals of unit length.
 
     Args:
-        points: shape (N, 3). normals: shape (N, 3), or None. name: of the frame, for errors.
+        cloud: as read; colours may have a fourth column, which is left out. name: of the frame, for errors.
 
     Returns:
-        Points and normals, float64; duplicates merged; points left out; whether normals were given but are not usable.
+        Points and normals, float64, and colours, uint8; duplicates merged; points left out; whether normals were given
+        but are not usable.
 
     Raises:
         InputError: a wrong shape, fewer than 10 different points, or all points equal.
     """
-    p, n = _as_points(points, name), _as_normals(normals, points, name)
+    p, n = _as_points(cloud.points, name), _as_normals(cloud.normals, cloud.points, name)
+    c = _as_colors(cloud.colors, cloud.points, name)
     # "not <=" holds for NaN too.
     bad = np.zeros(len(p), dtype=bool)
     for axis in range(3):
@@ -39,14 +56,15 @@ def check_cloud(
                 f"{name}: points: expected finite coordinates below {LARGEST_COORDINATE:g}, got NaN or infinity or "
                 f"larger in {dropped} of {len(p)} (first: point {int(bad.argmax())}); scan it again"
             )
-        p, n = p[~bad], None if n is None else n[~bad]
+        p, n, c = FramePoints(p, n, c).keep(~bad)
     unit = None if n is None else _unit(n)
-    p, unit, merged = _merge_duplicates(p, unit)
+    whole = _merge_duplicates(FramePoints(p, unit, c))
+    merged, p = len(p) - len(whole.points), whole.points
     if len(p) == 1:
         raise InputError(f"{name}: all points are equal; expected a surface, got a single position; drop this frame")
     if len(p) < MIN_POINTS:
         raise InputError(f"{name}: expected at least {MIN_POINTS} different points, got {len(p)}; drop this frame")
-    return p, unit, merged, dropped, n is not None and unit is None
+    return whole, merged, dropped, n is not None and unit is None
 
 
 def _as_points(points: np.ndarray, name: str) -> np.ndarray:
@@ -82,6 +100,19 @@ def _as_normals(normals: np.ndarray | None, points: np.ndarray, name: str) -> np
     return normals
 
 
+def _as_colors(colors: np.ndarray | None, points: np.ndarray, name: str) -> np.ndarray | None:
+    if colors is None:
+        return None
+    colors = np.asarray(colors)
+    if colors.shape not in ((len(points), 3), (len(points), 4)) or colors.dtype.kind not in "uif":
+        raise InputError(
+            f"{name}: colours: expected shape ({len(points)}, 3) as the points have, got {colors.shape} "
+            f"{colors.dtype}; give one colour a point, or none"
+        )
+    colors = colors[:, :3]
+    return np.ascontiguousarray(colors if colors.dtype == np.uint8 else byte_colors(colors, colors.dtype.kind != "f"))
+
+
 def _unit(normals: np.ndarray) -> np.ndarray | None:
     """Unit normals; None if one of them says nothing: estimating the whole frame is safer than mixing."""
     largest = np.abs(normals).max(axis=1)
@@ -92,7 +123,8 @@ def _unit(normals: np.ndarray) -> np.ndarray | None:
     return scaled / np.linalg.norm(scaled, axis=1)[:, None]
 
 
-def _merge_duplicates(points: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None, int]:
+def _merge_duplicates(cloud: FramePoints) -> FramePoints:
+    points = cloud.points
     # Sorting a hash of each point is far quicker than sorting points. Stable: the first in the file comes first.
     hashes = _hashes(points)
     order = np.argsort(hashes, kind="stable")
@@ -103,10 +135,10 @@ def _merge_duplicates(points: np.ndarray, normals: np.ndarray | None) -> tuple[n
         pairs = np.arange(len(points) - 1)
         pairs = pairs[_equal(points, order, pairs)]
     if not len(pairs):
-        return points, normals, 0
+        return cloud
     kept = np.ones(len(points), dtype=bool)
     kept[order[pairs + 1]] = False
-    return points[kept], None if normals is None else normals[kept], len(pairs)
+    return cloud.keep(kept)
 
 
 def _equal(points: np.ndarray, order: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -129,11 +161,21 @@ def _hashes(points: np.ndarray) -> np.ndarray:
     return mixed
 
 
-def draw_points(
-    points: np.ndarray, normals: np.ndarray | None, count: int, seed: int, number: int
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """At most ``count`` of the points and their normals, without replacement, order kept; by seed and frame number."""
-    if len(points) <= count:
-        return points, normals
-    chosen = np.sort(np.random.default_rng([seed, number]).choice(len(points), count, replace=False))
-    return points[chosen], None if normals is None else normals[chosen]
+def byte_colors(values: np.ndarray, whole: bool = False) -> np.ndarray:
+    """Colours as bytes: ``whole`` ones as they are, others fractions of 1 unless one goes beyond; shape kept.
+
+    Whole numbers beyond 255 are of 16 bits.
+    """
+    with np.errstate(invalid="ignore"):
+        values = np.nan_to_num(values.astype(np.float64))
+        largest = float(values.max(initial=0.0))
+        scale = 1.0 if whole or largest > 1.0 else 255.0
+        scale = 1.0 / 257.0 if whole and largest > 255.0 else scale
+        return np.clip(np.rint(values * scale), 0, 255).astype(np.uint8)
+
+
+def draw_points(cloud: FramePoints, count: int, seed: int, number: int) -> FramePoints:
+    """At most ``count`` of the points, without replacement, order kept; by seed and frame number."""
+    if len(cloud.points) <= count:
+        return cloud
+    return cloud.keep(np.sort(np.random.default_rng([seed, number]).choice(len(cloud.points), count, replace=False)))

@@ -7,13 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warpdef.cloud import LARGEST_COORDINATE, MIN_POINTS, check_cloud, draw_points
+from warpdef.cloud import LARGEST_COORDINATE, MIN_POINTS, FramePoints, check_cloud, draw_points
 from warpdef.errors import InputError, MissingPackageError
 
 MIN_FRAMES = 2
-
-Cloud = tuple[np.ndarray, "np.ndarray | None"]
-"""Points (N, 3), and normals (N, 3) or None."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +35,7 @@ class PointSequence:
     merged:   duplicate points merged           T integers
     dropped:  points that are no numbers        T integers
     disowned: normals given but not usable      T truth values
+    colors:   sRGB, None where unknown          T entries, each (N_t, 3) uint8 or None; or empty for none at all
     gaps:     the input's other frames; ``len(sequence)`` is T, ``frame_count`` counts them all
     notes:    further warnings about the input, one line each
     columns:  what was taken of the columns in the files and what was passed over; empty where they have none
@@ -54,6 +52,7 @@ class PointSequence:
     gaps: tuple[Gap, ...] = ()
     notes: tuple[str, ...] = ()
     columns: str = ""
+    colors: tuple[np.ndarray | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.points)
@@ -89,6 +88,29 @@ class PointSequence:
             normals[number] = given
         return normals
 
+    def all_colors(self) -> list[np.ndarray | None]:
+        """Colours for every frame of the input; None for gaps and where unknown."""
+        colors: list[np.ndarray | None] = [None] * self.frame_count
+        for number, cloud in zip(self.numbers, self.clouds, strict=True):
+            colors[number] = cloud.colors
+        return colors
+
+    @property
+    def clouds(self) -> list[FramePoints]:
+        """The frames with usable points, each with all that its points carry."""
+        colors = self.colors or (None,) * len(self.points)
+        return [FramePoints(*arrays) for arrays in zip(self.points, self.normals, colors, strict=True)]
+
+    def with_clouds(self, clouds: Sequence[FramePoints]) -> PointSequence:
+        """The sequence with other clouds in the same frames."""
+        points, normals, colors = zip(*clouds, strict=True)
+        return replace(self, points=points, normals=normals, colors=_or_none(colors))
+
+    def keep(self, masks: Sequence[np.ndarray], note: str) -> PointSequence:
+        """The points of the masks, T of shape (N_t,), with all that they carry, and a note of what was done."""
+        kept = [cloud.keep(mask) for cloud, mask in zip(self.clouds, masks, strict=True)]
+        return replace(self.with_clouds(kept), notes=(*self.notes, note))
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was done to the input, a line each, with the numbers of the frames."""
@@ -121,6 +143,7 @@ class PointSequence:
         names: Sequence[str] | None = None,
         *,
         strict: bool = False,
+        colors: np.ndarray | Sequence[np.ndarray | None] | None = None,
     ) -> PointSequence:
         """Check every frame, merge duplicate points, leave out those that are no numbers, make normals unit length.
 
@@ -129,26 +152,30 @@ class PointSequence:
             normals: as ``points``, any length above zero; None, or None for single frames, where unknown.
             names: T names used in error messages; "frame i" if not given.
             strict: refuse a frame that cannot be used; else it becomes a gap.
+            colors: as ``points``, bytes or fractions of 1; a fourth column is left out. None where unknown.
 
         Raises:
             InputError: fewer than 2 frames, more than half of the frames (with ``strict``: one) with fewer than 10
-                points, a wrong shape, all points equal, or normals of another length than the points.
+                points, a wrong shape, all points equal, or normals or colours of another length than the points.
         """
         frame_count = len(points)
         names = tuple(names) if names is not None else tuple(f"frame {i}" for i in range(frame_count))
-        if normals is None:
-            normals = [None] * frame_count
-        if len(normals) != frame_count:
-            raise InputError(
-                f"normals: expected {frame_count} frames as in points, got {len(normals)}; give them for all, or none"
-            )
-        pairs = zip(names, points, normals, strict=True)
-        return cls.from_frames(((name, lambda p=p, n=n: (p, n)) for name, p, n in pairs), strict=strict)
+        normals = [None] * frame_count if normals is None else normals
+        colors = [None] * frame_count if colors is None else colors
+        for what, given in (("normals", normals), ("colours", colors)):
+            if len(given) != frame_count:
+                raise InputError(
+                    f"{what}: expected {frame_count} frames as in points, got {len(given)}; give them for all, or none"
+                )
+        frames = zip(names, points, normals, colors, strict=True)
+        return cls.from_frames(
+            ((name, lambda p=p, n=n, c=c: FramePoints(p, n, c)) for name, p, n, c in frames), strict=strict
+        )
 
     @classmethod
     def from_frames(
         cls,
-        frames: Iterable[tuple[str, Callable[[], Cloud]]],
+        frames: Iterable[tuple[str, Callable[[], FramePoints]]],
         *,
         strict: bool = False,
         at_most: int = 0,
@@ -167,13 +194,13 @@ class PointSequence:
         Raises:
             InputError: as ``from_arrays``.
         """
-        kept: list[tuple[np.ndarray, np.ndarray | None, str, int, int, bool]] = []
+        kept: list[tuple[FramePoints, str, int, int, bool]] = []
         gaps: list[Gap] = []
         count = 0
         for number, (name, read) in enumerate(frames):
             count += 1
             try:
-                p, n, merged, dropped, disowned = check_cloud(*read(), name)
+                cloud, merged, dropped, disowned = check_cloud(FramePoints(*read()), name)
             except MissingPackageError:
                 raise
             except InputError as error:
@@ -181,9 +208,8 @@ class PointSequence:
                     raise
                 gaps.append(Gap(number, name, str(error)))
                 continue
-            if at_most:
-                p, n = draw_points(p, n, at_most, seed, number)
-            kept.append((p, n, name, merged, dropped, disowned))
+            cloud = draw_points(cloud, at_most, seed, number) if at_most else cloud
+            kept.append((cloud, name, merged, dropped, disowned))
         if count < MIN_FRAMES:
             raise InputError(
                 f"the sequence: expected at least {MIN_FRAMES} frames, got {count}; "
@@ -192,7 +218,9 @@ class PointSequence:
         if len(kept) < MIN_FRAMES or len(gaps) > len(kept):
             others = f" ({len(gaps)} of {count} frames cannot be used)" if len(gaps) > 1 else ""
             raise InputError(gaps[0].why + others)
-        return cls(*zip(*kept, strict=True), gaps=tuple(gaps), notes=tuple(notes))
+        clouds, *told = zip(*kept, strict=True)
+        points, normals, colors = zip(*clouds, strict=True)
+        return cls(points, normals, *told, gaps=tuple(gaps), notes=tuple(notes), colors=_or_none(colors))
 
     def select(self, frames: slice) -> PointSequence:
         """The input's frames of a slice, in order, numbered from 0 anew.
@@ -230,7 +258,7 @@ class PointSequence:
 
     def _chosen(self, frames: Sequence[int]) -> PointSequence:
         """The clouds at these places, with the gaps as they are."""
-        columns = ("points", "normals", "names", "merged", "dropped", "disowned")
+        columns = ("points", "normals", "colors", "names", "merged", "dropped", "disowned")
         return replace(
             self,
             **{name: tuple(values[t] for t in frames) if (values := getattr(self, name)) else () for name in columns},
@@ -244,9 +272,12 @@ class PointSequence:
         """
         if count < MIN_POINTS:
             raise InputError(f"--points: expected at least {MIN_POINTS}, got {count}")
-        frames = zip(self.points, self.normals, self.numbers, strict=True)
-        points, normals = zip(*(draw_points(p, n, count, seed, number) for p, n, number in frames), strict=True)
-        return replace(self, points=points, normals=normals)
+        frames = zip(self.clouds, self.numbers, strict=True)
+        return self.with_clouds([draw_points(cloud, count, seed, number) for cloud, number in frames])
+
+
+def _or_none(colors: tuple[np.ndarray | None, ...]) -> tuple[np.ndarray | None, ...]:
+    return () if all(c is None for c in colors) else colors
 
 
 def name_frames(numbers: Sequence[int]) -> str:

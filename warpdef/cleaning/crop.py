@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from warpdef.config_values import parse_box
@@ -19,19 +17,14 @@ def crop(sequence: PointSequence, box: str) -> PointSequence:
         InputError: too little is left.
     """
     low, high = parse_box(box)
-    masks = [((p >= low) & (p <= high)).all(axis=1) for p in sequence.points]
+    masks: list[np.ndarray] = [np.asarray(((p >= low) & (p <= high)).all(axis=1)) for p in sequence.points]
     cut = sum(int((~mask).sum()) for mask in masks)
     empty = {n: m for n, m in zip(sequence.numbers, masks, strict=True) if m.sum() < MIN_POINTS}
     if len(sequence) - len(empty) < 2:
         every = np.concatenate(sequence.points)
         there = ",".join(f"{a:.4g}:{b:.4g}" for a, b in zip(every.min(axis=0), every.max(axis=0), strict=True))
         raise InputError(f"--crop {box}: expected points inside in at least 2 frames, got none; they lie in {there}")
-    cropped = replace(
-        sequence,
-        points=tuple(p[m] for p, m in zip(sequence.points, masks, strict=True)),
-        normals=tuple(n if n is None else n[m] for n, m in zip(sequence.normals, masks, strict=True)),
-        notes=(*sequence.notes, f"{cut} points outside the box {box} cut"),
-    )
+    cropped = sequence.keep(masks, f"{cut} points outside the box {box} cut")
     reasons = {
         number: f"{int(mask.sum())} of its points lie inside the box of --crop" for number, mask in empty.items()
     }

@@ -14,7 +14,7 @@ A cloud without such a gap keeps every point. What lies closer is for ``strays``
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -101,13 +101,7 @@ def drop_far(sequence: PointSequence) -> PointSequence:
     which, gap = name_frames([number for number, _ in told]), min(f.gap for _, f in told)
     points = "point" if count == 1 else "points"
     note = f"{which}: {count} {points} {gap:.2g} or more sizes of the object away left out{_named(told)}"
-    kept = [f.kept for f in found]
-    return replace(
-        sequence,
-        points=tuple(p[k] for p, k in zip(sequence.points, kept, strict=True)),
-        normals=tuple(n if n is None else n[k] for n, k in zip(sequence.normals, kept, strict=True)),
-        notes=(*sequence.notes, f"{note}; --no-drop-strays keeps them"),
-    )
+    return sequence.keep([f.kept for f in found], f"{note}; --no-drop-strays keeps them")
 
 
 def _named(told: list[tuple[int, FarPoints]]) -> str:

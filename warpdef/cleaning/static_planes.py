@@ -167,9 +167,4 @@ def cut_static_planes(sequence: PointSequence) -> PointSequence:
         f"{which}: {what} still in all of them (floor, wall, table) and {share:.0%} of the points with it cut; "
         "--no-cut-static keeps it"
     )
-    return replace(
-        sequence,
-        points=tuple(p[m] for p, m in zip(sequence.points, kept, strict=True)),
-        normals=tuple(n if n is None else n[m] for n, m in zip(sequence.normals, kept, strict=True)),
-        notes=(*sequence.notes, note),
-    )
+    return sequence.keep(kept, note)

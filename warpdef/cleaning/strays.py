@@ -14,8 +14,6 @@ A cloud in which the first test finds next to nothing keeps every point. NumPy a
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from warpdef.cloud import SPACING_NEIGHBOURS
@@ -142,7 +140,5 @@ def drop_strays(sequence: PointSequence) -> PointSequence:
     strays = sum(int((~mask).sum()) for _, mask in found)
     share = strays / sum(len(mask) for _, mask in found)
     which = name_frames([number for number, _ in found])
-    points = tuple(p[m] for p, m in zip(sequence.points, masks, strict=True))
-    normals = tuple(n if n is None else n[m] for n, m in zip(sequence.normals, masks, strict=True))
     note = f"{which}: {strays} stray points ({share:.1%}) on no surface left out; --no-drop-strays keeps them"
-    return replace(sequence, points=points, normals=normals, notes=(*sequence.notes, note))
+    return sequence.keep(masks, note)

@@ -1,8 +1,9 @@
 """Files that hold all clouds of a sequence: the layouts of an .npz or .npy, none of which needs pickle.
 
-- ``points`` (T, N, 3), optional ``normals`` (T, N, 3); or (T, N, 6) with the normals behind;
-- frames of unequal length: ``points_0000`` (N_0, 3), ``points_0001`` (N_1, 3), ..., each with an optional
-  ``normals_0000``, ...: ``np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})``;
+- ``points`` (T, N, 3), optional ``normals`` (T, N, 3) and ``colors`` (T, N, 3) or, for all frames, (N, 3); or
+  (T, N, 6) with normals or colours behind;
+- frames of unequal length: ``points_0000`` (N_0, 3), ``points_0001`` (N_1, 3), ..., each with optional
+  ``normals_0000``, ``colors_0000``, ...: ``np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})``;
 - the same under another name, ``arr_0`` of ``np.savez(path, clouds)`` for one, where nothing else could be meant.
 """
 
@@ -15,17 +16,21 @@ from pathlib import Path
 
 import numpy as np
 
+from warpdef.cloud import FramePoints
 from warpdef.errors import InputError
 from warpdef.files.columns import guess_roles, surface_of
 from warpdef.files.frame_files import select_frames
 from warpdef.files.frame_numbers import natural_key
 from warpdef.files.numpy_files import Npz, npy_array, row
 from warpdef.files.surface import Surface
-from warpdef.sequence import MIN_FRAMES, Cloud
+from warpdef.sequence import MIN_FRAMES
 
-NamedFrame = tuple[str, Callable[[], Cloud]]
+NamedFrame = tuple[str, Callable[[], FramePoints]]
 """What a frame is called, and a function that reads it."""
 
+COLOR_NAMES = ("colors", "colours", "color", "colour", "rgb", "rgba", "vertex_colors")
+"""What colours are called; of frames of their own with the frame's number behind."""
+_KNOWN = {"points", "normals", "names", "fps", "up", *COLOR_NAMES}
 _POINTS_OF_A_FRAME = re.compile("points_[0-9]+")
 _UNEQUAL = 'np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})'
 
@@ -39,18 +44,20 @@ def read_npz_frames(path: Path, frames: slice | None) -> tuple[list[NamedFrame],
     npz = Npz(path)
     name, notes = _stack_name(npz)
     if name:
-        return _stacked_frames(npz, name, frames), notes
+        passed = [n for n in npz.names if n not in {name, *_KNOWN} and npz.header(n)[0][:2] == npz.header(name)[0][:2]]
+        return _stacked_frames(npz, name, frames), notes + ([left_behind(passed)] if passed else [])
     numbered = _numbered_names(npz)
     if not numbered:
         meshes = "; it holds meshes: sample them first with `warpdef sample`" if "vertices" in npz else ""
         found = ", ".join(npz.names[:8]) or "no arrays"
         raise InputError(f"{npz.path}: expected an array 'points' (T, N, 3), got {found:.200}{meshes}")
 
-    def read(name: str) -> Cloud:
-        normals = name.replace("points", "normals")
-        if normals != name and normals in npz:
-            return npz.array(name), npz.array(normals)
-        return _columns(npz.array(name), f"{name} of {npz.path.name}")
+    def read(name: str) -> FramePoints:
+        cloud = _columns(npz.array(name), f"{name} of {npz.path.name}")
+        stem, number = re.split("(?=[0-9]+$)", name, maxsplit=1)
+        normals = _first_of(npz, [f"normals_{number}"])
+        colors = _first_of(npz, [f"{c}_{number}" for c in COLOR_NAMES])
+        return _with(cloud, normals, colors if stem == "points_" else None)
 
     chosen = select_frames(numbered, frames, MIN_FRAMES, npz.path)
     return [(f"{name} of {npz.path.name}", partial(read, name)) for name in chosen], _called(numbered[0])
@@ -86,10 +93,12 @@ def read_npz_points(path: Path) -> Surface:
             others = ", ".join(npz.names[:8]) or "no arrays"
             raise InputError(f"{path}: expected an array 'points' (N, 3) of one frame, got {others:.200}")
         name = found[0]
-    points, normals = _columns(npz.array(name), f"{path}: {name}")
-    if points.ndim != 2:
-        raise InputError(f"{path}: {name}: expected the points (N, 3) of one frame, got {points.shape}")
-    return Surface(points.astype(np.float64), npz.array("normals") if "normals" in npz else normals)
+    cloud = _columns(npz.array(name), f"{path}: {name}")
+    if cloud.points.ndim != 2:
+        raise InputError(f"{path}: {name}: expected the points (N, 3) of one frame, got {cloud.points.shape}")
+    cloud = _with(cloud, _first_of(npz, ["normals"]), _first_of(npz, COLOR_NAMES))
+    passed = [n for n in npz.names if n not in {name, *_KNOWN} and npz.header(n)[0][:1] == (len(cloud.points),)]
+    return Surface(cloud.points.astype(np.float64), cloud.normals, colors=cloud.colors, passed=tuple(passed))
 
 
 CONTAINERS: dict[str, Callable[[Path, slice | None], tuple[list[NamedFrame], list[str]]]] = {
@@ -136,26 +145,48 @@ def _stacked_frames(npz: Npz, name: str, frames: slice | None) -> list[NamedFram
     # Looked at before the frames are counted out: a damaged header may promise any number of them.
     points = npz.array(name)
     chosen = select_frames(range(len(points)), frames, MIN_FRAMES, npz.path)
-    normals = npz.array("normals") if "normals" in npz else None
+    normals, colors = _first_of(npz, ["normals"]), _first_of(npz, COLOR_NAMES)
+    allowed = [(*ahead, k) for ahead in (shape[:2], shape[1:2]) for k in (3, 4)]
+    if colors is not None and colors.shape not in allowed:
+        raise InputError(
+            f"{npz.path}: colours: expected shape {allowed[0]} as the points have, or {allowed[2]} for all frames, got "
+            f"{colors.shape}"
+        )
     if normals is not None and normals.shape != (*shape[:2], 3):
         raise InputError(
             f"{npz.path}: normals: expected shape {(*shape[:2], 3)} as the points have, got {normals.shape}"
         )
 
-    def read(t: int) -> Cloud:
-        where = f"{name}[{t}] of {npz.path.name}"
-        if normals is not None:
-            return row(points, t)[:, :3], row(normals, t)
-        return _columns(row(points, t), where)
+    def read(t: int) -> FramePoints:
+        rows = row(points, t) if normals is None else row(points, t)[:, :3]
+        cloud = _columns(rows, f"{name}[{t}] of {npz.path.name}")
+        own = colors if colors is None or colors.ndim == 2 else row(colors, t)
+        return _with(cloud, None if normals is None else row(normals, t), own)
 
     return [(f"{name}[{t}] of {npz.path.name}", partial(read, t)) for t in chosen]
 
 
-def _columns(rows: np.ndarray, where: str) -> Cloud:
+def left_behind(names: Sequence[str]) -> str:
+    """The warning that names what points carry and a mesh has no place for."""
+    return f"of the points {', '.join(names[:12])}{', ...' if len(names) > 12 else ''} left behind: no place on a mesh"
+
+
+def _first_of(npz: Npz, names: Sequence[str]) -> np.ndarray | None:
+    return next((npz.array(name) for name in names if name in npz), None)
+
+
+def _with(cloud: FramePoints, normals: np.ndarray | None, colors: np.ndarray | None) -> FramePoints:
+    """The cloud with arrays of their own in place of columns."""
+    return FramePoints(
+        cloud.points, cloud.normals if normals is None else normals, cloud.colors if colors is None else colors
+    )
+
+
+def _columns(rows: np.ndarray, where: str) -> FramePoints:
     if rows.ndim == 2 and rows.shape[1] == 6:
         surface = surface_of(rows, guess_roles(rows, where))
-        return surface.points, surface.normals
-    return rows, None
+        return FramePoints(surface.points, surface.normals, surface.colors)
+    return FramePoints(rows)
 
 
 def _require_stack(shape: Sequence[int], where: str) -> None:

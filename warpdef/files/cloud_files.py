@@ -9,15 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
+from warpdef.cloud import MIN_POINTS, FramePoints
 from warpdef.errors import InputError
-from warpdef.files.cloud_archives import CONTAINERS, NamedFrame
+from warpdef.files.cloud_archives import CONTAINERS, NamedFrame, left_behind
 from warpdef.files.columns import parse_columns
 from warpdef.files.disk import must_exist
 from warpdef.files.formats import CLOUD_SUFFIXES, FRAME_SUFFIXES, read_surface
 from warpdef.files.frame_files import FrameSlot, find_frames, select_frames
 from warpdef.files.mesh_clouds import cloud_of
 from warpdef.files.numpy_files import write_npz
-from warpdef.sequence import MIN_FRAMES, MIN_POINTS, Cloud, PointSequence
+from warpdef.sequence import MIN_FRAMES, PointSequence
 
 
 def read_clouds(
@@ -72,10 +73,11 @@ def read_clouds(
 
 @dataclass
 class ReadingNotes:
-    """What the files said of their columns, by frame, and whose points were drawn from faces."""
+    """What the files said of their columns, by frame, what is left behind, and whose points were drawn from faces."""
 
     lines: dict[str, str] = field(default_factory=dict)
     drawn: list[str] = field(default_factory=list)
+    passed: dict[str, None] = field(default_factory=dict)
 
     @property
     def line(self) -> str:
@@ -89,6 +91,8 @@ class ReadingNotes:
         other = next((name for name, line in self.lines.items() if line != self.line), "")
         if other:
             notes.append(f"the columns differ: '{self.line}' in the first frame, '{self.lines[other]}' in {other}")
+        if self.passed:
+            notes.append(left_behind(list(self.passed)))
         if self.drawn:
             which = f"{len(self.drawn)} frames are meshes of few or uneven vertices"
             notes.append(f"{which}: their points are drawn evenly from the faces")
@@ -103,10 +107,11 @@ def _folder_frames(
     return [(slot.name, partial(_read_slot, slot, columns, told)) for slot in slots], found.notes
 
 
-def _read_slot(slot: FrameSlot, columns: Sequence[str], told: ReadingNotes) -> Cloud:
+def _read_slot(slot: FrameSlot, columns: Sequence[str], told: ReadingNotes) -> FramePoints:
     surface = read_surface(slot.file(), FRAME_SUFFIXES, columns)
     if surface.columns:
         told.lines[slot.name] = surface.columns
+    told.passed |= dict.fromkeys(surface.passed)
     cloud, drawn = cloud_of(surface, slot.name)
     told.drawn += [slot.name] if drawn else []
     return cloud
@@ -115,8 +120,9 @@ def _read_slot(slot: FrameSlot, columns: Sequence[str], told: ReadingNotes) -> C
 def write_clouds_npz(path: Path | str, sequence: PointSequence) -> None:
     """Write a sequence so that ``read_clouds`` gives the same numbers back, float64.
 
-    Frames of equal length with normals in all frames or in none go to ``points`` and ``normals`` (T, N, 3), others to
-    ``points_0000``, ``normals_0000``, ... The file appears at once or not at all; an existing one is replaced.
+    Frames of equal length with normals and colours in all frames or in none go to ``points``, ``normals`` and
+    ``colors`` (T, N, 3), others to ``points_0000``, ``normals_0000``, ``colors_0000``, ... The file appears at once or
+    not at all; an existing one is replaced.
 
     Raises:
         InputError: another suffix than .npz, or the file cannot be written.
@@ -125,11 +131,16 @@ def write_clouds_npz(path: Path | str, sequence: PointSequence) -> None:
     if path.suffix.lower() != ".npz":
         raise InputError(f"{path}: unknown suffix '{path.suffix}'; expected .npz for a sequence of clouds")
     with_normals = [n for n in sequence.normals if n is not None]
-    if len({len(p) for p in sequence.points}) == 1 and len(with_normals) in (0, len(sequence)):
+    with_colors = [c for c in sequence.colors if c is not None]
+    complete = all(len(given) in (0, len(sequence)) for given in (with_normals, with_colors))
+    if len({len(p) for p in sequence.points}) == 1 and complete:
         arrays = {"points": np.stack(sequence.points)}
         if with_normals:
             arrays["normals"] = np.stack(with_normals)
+        if with_colors:
+            arrays["colors"] = np.stack(with_colors)
     else:
         arrays = {f"points_{t:04d}": p for t, p in enumerate(sequence.points)}
         arrays |= {f"normals_{t:04d}": n for t, n in enumerate(sequence.normals) if n is not None}
+        arrays |= {f"colors_{t:04d}": c for t, c in enumerate(sequence.colors) if c is not None}
     write_npz(path, arrays)

@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from warpdef.cloud import byte_colors
 from warpdef.errors import InputError
-from warpdef.files.surface import Surface, byte_colors
+from warpdef.files.surface import Surface
 
 POINTS, NORMALS, COLORS = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
 PASSED_OVER = "_"
@@ -165,7 +166,7 @@ def named_surface(columns: Mapping[str, np.ndarray], passed: Sequence[str], whol
     with np.errstate(invalid="ignore", over="ignore"):
         points = points.astype(np.float64)
         normals = None if normals is None else normals.astype(np.float64)
-    return Surface(points, normals, colors=colors, columns=line)
+    return Surface(points, normals, colors=colors, columns=line, passed=tuple(passed))
 
 
 def _stack(columns: Mapping[str, np.ndarray], roles: Sequence[str]) -> np.ndarray | None:

@@ -1,7 +1,8 @@
-"""LAS files, versions 1.0 to 1.4, and LAZ, the same compressed by LASzip. Positions only.
+"""LAS files, versions 1.0 to 1.4, and LAZ, the same compressed by LASzip. Positions and colours.
 
 Every point record begins with X, Y, Z as int32; a position is ``X * scale + offset`` by the header's doubles, so that
-nothing of large map coordinates is lost. The compressed body is unpacked by lazrs, an extra: ``warpdef[las]``.
+nothing of large map coordinates is lost. Colours have 16 bits, or 8 in files of some programs. The compressed body is
+unpacked by lazrs, an extra: ``warpdef[las]``.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from warpdef.cloud import byte_colors
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.files.disk import Unpacking, read_bytes, reason
 from warpdef.files.surface import Surface
@@ -25,13 +27,15 @@ from warpdef.files.surface import Surface
 _LEAST_HEADER = 227
 _RECORD_HEADER = struct.Struct("<2x16sHH32x")  # of a variable length record: user, id, length
 _LEAST_RECORDS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)  # bytes of a point, by format
+_COLORS_AT = {2: 20, 3: 28, 5: 28, 7: 30, 8: 30, 10: 30}  # by format
 _CHUNK = 1 << 16  # points unpacked at once
 _LASZIP = (b"laszip encoded", 22204)
 
 
 @dataclass(frozen=True)
 class _LasHeader:
-    """count: points. start: of the points. length: of a point's record. records: of variable length, before start."""
+    """count: points. start: of the points. length: of a point's record. records: of variable length, before start.
+    kind: format of a point."""
 
     count: int
     start: int
@@ -41,6 +45,16 @@ class _LasHeader:
     offset: np.ndarray
     header_size: int
     records: int
+    kind: int
+
+    @property
+    def row(self) -> np.dtype:
+        """What is read of a point's record."""
+        fields = {"xyz": ("<i4", 3, 0), "intensity": ("<u2", 1, 12), "class": ("u1", 1, 16 if self.kind > 5 else 15)}
+        fields |= {"rgb": ("<u2", 3, _COLORS_AT[self.kind])} if self.kind in _COLORS_AT else {}
+        formats = [(kind, (n,)) if n > 1 else kind for kind, n, _ in fields.values()]
+        places = [at for _, _, at in fields.values()]
+        return np.dtype({"names": [*fields], "formats": formats, "offsets": places, "itemsize": self.length})
 
     def placed(self, steps: np.ndarray) -> np.ndarray:
         """Float64 positions of X, Y, Z (N, 3) int32: counts of steps, often a millimetre, from an offset."""
@@ -48,7 +62,7 @@ class _LasHeader:
 
 
 def read_las(path: Path) -> Surface:
-    """Positions of a .las or .laz file, float64 in the file's own coordinates.
+    """Positions, float64 in the file's own coordinates, and colours of a .las or .laz file.
 
     Raises:
         InputError: not a LAS file, a damaged header, or fewer data than the header declares.
@@ -56,7 +70,11 @@ def read_las(path: Path) -> Surface:
     """
     data = read_bytes(path)
     header = _parse_header(data, path)
-    return Surface(_unpacked(data, header, path) if header.compressed else _records(data, header, path))
+    rows = _unpacked(data, header, path) if header.compressed else _records(data, header, path)
+    colors = rows["rgb"] if header.kind in _COLORS_AT and rows["rgb"].any() else None
+    passed = [name for field, name in (("intensity", "intensity"), ("class", "classification")) if rows[field].any()]
+    shades = None if colors is None else byte_colors(colors, whole=True)
+    return Surface(header.placed(rows["xyz"]), colors=shades, passed=tuple(passed))
 
 
 def _parse_header(data: bytes, path: Path) -> _LasHeader:
@@ -74,39 +92,40 @@ def _parse_header(data: bytes, path: Path) -> _LasHeader:
         raise InputError(f"{path}: the LAS header is damaged; write the file again")
     if not np.isfinite(offset).all() or records > (start - header_size) // _RECORD_HEADER.size:
         raise InputError(f"{path}: the LAS header is damaged; write the file again")
-    return _LasHeader(count, start, length, compressed, scale, offset, header_size, records)
+    return _LasHeader(count, start, length, compressed, scale, offset, header_size, records, kind)
 
 
 def _records(data: bytes, header: _LasHeader, path: Path) -> np.ndarray:
-    """Positions of a body that is not compressed, shape (N, 3)."""
+    """Rows of a body that is not compressed, shape (N,)."""
     if header.count > (len(data) - header.start) // header.length:
         raise InputError(
             f"{path}: expected {header.count} points as the LAS header says, got a file too short for them; it is "
             "truncated: write it again"
         )
-    row = np.dtype({"names": ["xyz"], "formats": [("<i4", (3,))], "itemsize": header.length})
-    return header.placed(np.frombuffer(data, row, header.count, header.start)["xyz"])
+    return np.frombuffer(data, header.row, header.count, header.start)
 
 
 def _unpacked(data: bytes, header: _LasHeader, path: Path) -> np.ndarray:
-    """Positions of a compressed body, shape (N, 3)."""
+    """Rows of a compressed body, shape (N,), of what is read of them only."""
     try:
         import lazrs
     except ImportError as error:
         raise MissingPackageError(
             f"{path}: .laz needs lazrs ({error}); install it: pip install 'warpdef[las]', or convert to .las"
         ) from error
-    # A dense scan takes two or three bytes a point, and 24 as float64.
+    # A dense scan takes two or three bytes a point, and 24 as float64, besides colours.
+    kept = np.dtype([(name, header.row[name]) for name in header.row.names or ()])
     Unpacking(path, "convert it to .las", times=24).take(header.count * 24)
     settings = next((body for name, body in _variable_records(data, header) if name == _LASZIP), None)
     if settings is None:
         raise InputError(f"{path}: expected the record of LASzip in a compressed file, got none; it is damaged")
     _check_chunks(data, header, path)
     try:
-        points, at = np.empty((header.count, 3)), 0
+        points, at = np.empty(header.count, kept), 0
         with _no_standard_error():
             for chunk in _chunks(lazrs, data, settings, header):
-                points[at : at + len(chunk)] = header.placed(chunk)
+                for name in kept.names or ():
+                    points[name][at : at + len(chunk)] = chunk[name]
                 at += len(chunk)
         return points
     except BaseException as error:
@@ -146,7 +165,7 @@ def _chunks(lazrs: Any, data: bytes, settings: bytes, header: _LasHeader) -> Ite
     while left:
         rows = np.zeros((min(left, _CHUNK), header.length), dtype=np.uint8)
         unpacker.decompress_many(rows.reshape(-1))
-        yield np.ascontiguousarray(rows[:, :12]).view("<i4")
+        yield rows.reshape(-1).view(header.row)
         left -= len(rows)
 
 

@@ -6,11 +6,11 @@ import zlib
 
 import numpy as np
 
+from warpdef.cloud import FramePoints
 from warpdef.files.surface import Surface
 from warpdef.geometry.sampling import sample_surface
 from warpdef.geometry.triangles import face_areas, is_watertight, signed_volume
 from warpdef.mesh import check_faces
-from warpdef.sequence import Cloud
 
 POINTS_LEAST = 5000  # drawn
 VERTICES_LEAST = 1000
@@ -37,8 +37,8 @@ def is_even(surface: Surface) -> bool:
     return not squares > 0 or float(areas.sum()) ** 2 / squares >= EVEN * len(points)
 
 
-def cloud_of(surface: Surface, name: str) -> tuple[Cloud, bool]:
-    """Points and normals of one frame, and whether they were drawn from its faces.
+def cloud_of(surface: Surface, name: str) -> tuple[FramePoints, bool]:
+    """Points, normals and colours of one frame, and whether they were drawn from its faces.
 
     Args:
         name: of the frame, which the draw depends on, so that frames share no places.
@@ -50,9 +50,12 @@ def cloud_of(surface: Surface, name: str) -> tuple[Cloud, bool]:
     if faces is not None and len(faces):
         faces = check_faces(faces, len(surface.points), name)
     if faces is None or is_even(surface):
-        return (surface.points, surface.normals), False
+        return FramePoints(surface.points, surface.normals, surface.colors), False
     rng = np.random.default_rng(zlib.crc32(name.encode()))
-    points, normals, _, _ = sample_surface(surface.points, faces, max(POINTS_LEAST, len(surface.points)), rng)
-    if not is_watertight(faces):
-        return (points, None), True
-    return (points, normals * np.sign(signed_volume(surface.points, faces))), True
+    points, normals, face, weights = sample_surface(surface.points, faces, max(POINTS_LEAST, len(surface.points)), rng)
+    colors = surface.colors
+    if colors is not None:
+        mixed = np.einsum("nk,nkc->nc", weights, colors[faces[face], :3].astype(np.float64))
+        colors = np.rint(mixed).astype(np.uint8)
+    outward = normals * np.sign(signed_volume(surface.points, faces)) if is_watertight(faces) else None
+    return FramePoints(points, outward, colors), True

@@ -1,8 +1,9 @@
 """PCD files of the Point Cloud Library, version 0.7 and before: ascii, binary and binary_compressed.
 
-Read are x, y, z and, where all three are there, normals under any usual name; colours and all other fields are passed
-over. Points are taken as they stand: the acquisition VIEWPOINT is not applied, as PCL does not apply it either. Points
-that a sensor did not see are NaN and are left out later, with a warning.
+Read are x, y, z and, where all three are there, normals and colours under any usual name, or colours as PCL packs them,
+``rgb`` or ``rgba``: red, green and blue in the bytes of one number. All other fields are passed over. Points are taken
+as they stand: the acquisition VIEWPOINT is not applied, as PCL does not apply it either. Points that a sensor did not
+see are NaN and are left out later, with a warning.
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from warpdef.errors import InputError
-from warpdef.files.columns import NORMALS, POINTS, named_surface, plain_numbers, role_of, roles_of
+from warpdef.files.columns import COLORS, NORMALS, POINTS, named_surface, plain_numbers, role_of, roles_of
 from warpdef.files.disk import TEXT_BLOCK, Unpacking, read_bytes
 from warpdef.files.lzf import lzf_decompress
 from warpdef.files.surface import Surface
 
 _HEADER_MAX = 1 << 16
 _KINDS = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}
+_PACKED = ("rgb", "rgba")
 _VALUES_MAX = 1 << 16  # values of a field
 
 
@@ -44,7 +46,7 @@ class _PcdHeader:
 
 
 def read_pcd(path: Path) -> Surface:
-    """Points and normals of a PCD file.
+    """Points, normals and colours of a PCD file.
 
     Raises:
         InputError: not a PCD file, a damaged header, no x, y, z, or fewer data than the header declares.
@@ -56,8 +58,23 @@ def read_pcd(path: Path) -> Surface:
     )
     if not set(POINTS) <= set(columns):
         raise InputError(f"{path}: expected the fields x, y, z, got {', '.join(header.names)[:80]}")
-    passed = [name for name in header.names if role_of(name) not in columns and name != "_"]
-    return named_surface(columns, passed)
+    packed = columns.pop(_PACKED[0], None)
+    passed = [
+        n for n in header.names if role_of(n) not in columns and n != "_" and (packed is None or n not in _PACKED)
+    ]
+    if packed is not None:
+        columns |= dict(zip(COLORS, _unpacked(packed), strict=True))
+    whole = packed is not None or columns.get("red", np.zeros(0)).dtype.kind in "iu"
+    return named_surface(columns, passed, whole)
+
+
+def _unpacked(column: np.ndarray) -> list[np.ndarray]:
+    """Red, green and blue of numbers that hold all three: the bits of a float32, or a whole number; each (N,) uint8."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        # Written as text some programs give the number itself, others that of the same bits, far below 1.
+        is_whole = column.dtype.kind in "iu" or bool(((column == np.rint(column)) & (np.abs(column) < 1 << 24)).all())
+        bits = column.astype(np.int64) if is_whole else column.astype(np.float32).view(np.uint32)
+    return [(bits >> shift & 255).astype(np.uint8) for shift in (16, 8, 0)]
 
 
 def _parse_header(data: bytes, where: str) -> _PcdHeader:
@@ -142,12 +159,13 @@ def _read_compressed(data: bytes, header: _PcdHeader, path: Path) -> dict[str, n
 
 
 def _single(header: _PcdHeader) -> list[tuple[int, str]]:
-    """Index and role of the fields that are read; they must have one value a point."""
-    return [
-        (i, role)
-        for i, role in enumerate(roles_of(header.names))
-        if role in (*POINTS, *NORMALS) and header.counts[i] == 1
-    ]
+    """Index and role of the fields that are read; they must have one value a point. Packed colours are ``rgb``."""
+    packed = [i for i, name in enumerate(header.names) if name in _PACKED and header.dtypes[i].itemsize == 4]
+    roles = roles_of(header.names)
+    if packed:
+        roles[packed[0]] = _PACKED[0]
+    wanted = (*POINTS, *NORMALS, *(_PACKED[:1] if packed else COLORS))
+    return [(i, role) for i, role in enumerate(roles) if role in wanted and header.counts[i] == 1]
 
 
 def _truncated(path: Path, header: _PcdHeader) -> InputError:

@@ -39,6 +39,7 @@ class Surface:
     texture:   the image, once it is read
     notes:     why it is missing, a line each
     columns:   what was taken and what was passed over, where columns have names or had to be told apart
+    passed:    names of what the points carry beyond all this, which has no place on a mesh
     """
 
     points: np.ndarray
@@ -51,6 +52,7 @@ class Surface:
     texture: Texture | None = None
     notes: tuple[str, ...] = ()
     columns: str = ""
+    passed: tuple[str, ...] = ()
 
 
 def fan_triangles(indices: np.ndarray, counts: Sequence[int] | np.ndarray, where: str) -> np.ndarray:
@@ -80,14 +82,6 @@ def fan_triangles(indices: np.ndarray, counts: Sequence[int] | np.ndarray, where
     for corner, place in enumerate((first, first + step + 1, first + step + 2)):
         faces[:, corner] = indices[place]
     return faces
-
-
-def byte_colors(values: np.ndarray, whole: bool = False) -> np.ndarray:
-    """Colours as bytes: ``whole`` ones as they are, others fractions of 1 unless one goes beyond; shape kept."""
-    with np.errstate(invalid="ignore"):
-        values = np.nan_to_num(values.astype(np.float64))
-        whole = whole or bool((values > 1.0).any())
-        return np.clip(np.rint(values if whole else values * 255.0), 0, 255).astype(np.uint8)
 
 
 def vertex_or_corner_uv(

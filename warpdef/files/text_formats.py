@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from warpdef.cloud import byte_colors
 from warpdef.errors import InputError
 from warpdef.files.columns import plain_numbers
 from warpdef.files.disk import read_bytes
-from warpdef.files.surface import NamedImages, Surface, byte_colors, fan_triangles, vertex_or_corner_uv
+from warpdef.files.surface import NamedImages, Surface, fan_triangles, vertex_or_corner_uv
 
 _BLOCK = 1 << 14  # rows that are kept as words before they become numbers
 

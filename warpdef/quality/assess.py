@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from warpdef.cloud import draw_points
+from warpdef.cloud import FramePoints, draw_points
 from warpdef.quality.confidence import vertex_confidence
 from warpdef.quality.coverage import Coverage, doubled_vertices, measure_coverage
 from warpdef.quality.enclosed import inner_share
@@ -102,7 +102,7 @@ def assess(
     calm = flicker(vertices, faces), acceleration(vertices)
 
     def measure(t: int) -> tuple[FrameQuality, Coverage | None, np.ndarray]:
-        points = draw_points(np.asarray(clouds[t], dtype=np.float64), None, POINTS_JUDGED, 0, t)[0]
+        points = draw_points(FramePoints(np.asarray(clouds[t], dtype=np.float64)), POINTS_JUDGED, 0, t).points
         placed = vertices[t] - centre
         change = reference.compare(placed, usual if t == keyframe else None)
         coverage = measure_coverage(points - centre, placed, faces) if len(points) else None
