@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 import synthetic
-import warp as wp
 from descent import chained
 from launches import FRAMES, KEYFRAME, Launch, counting
 
@@ -189,5 +188,4 @@ def table(found: dict[str, list[tuple[Launch, float]]]) -> str:
 
 
 if __name__ == "__main__":
-    wp.config.quiet = True
     print(table(estimates()))

@@ -137,8 +137,8 @@ def test_all_transitions_at_once_are_one_after_the_other(arrays: Arrays, rng: np
 
     nodes, template = random_nodes(3, rng), points_in_cube(40, rng)
     one_by_one = GridChain(arrays, nodes, template)
-    forces = (rng.uniform(size=4), *rng.normal(size=(2, 4, 40, 3)))
-    forces = (arrays.numbers(forces[0].astype(np.float32), wp.float32), *map(arrays.vectors, forces[1:]))
+    trust, weighed, plain = rng.uniform(size=4), *rng.normal(size=(2, 4, 40, 3))
+    forces = arrays.numbers(trust.astype(np.float32), wp.float32), arrays.vectors(weighed), arrays.vectors(plain)
     start = arrays.vectors(np.tile(template, (4, 1, 1)))
     start[0].assign(np.full((40, 3), 9.0, np.float32))
     start[2].assign(np.full((40, 3), 9.0, np.float32))
@@ -149,13 +149,13 @@ def test_all_transitions_at_once_are_one_after_the_other(arrays: Arrays, rng: np
     )
     for found, expected in pairs:
         assert_same(found, expected)
-    both = [(arrays.zeros((5, 40), wp.vec3), arrays.zeros((3, 40), node8)) for _ in range(2)]
-    adj_move_chains(one_by_one.routes, start, rotation, jacobian, *forces, *both[0])
+    at_once, apart = ((arrays.zeros((5, 40), wp.vec3), arrays.zeros((3, 40), node8)) for _ in range(2))
+    adj_move_chains(one_by_one.routes, start, rotation, jacobian, *forces, *at_once)
     for steps in (one_by_one.forward, one_by_one.backward):
         for s, source, target in reversed(steps):
             to = 4 if steps is one_by_one.backward else source
-            adj_move_vertices(0, 40, s, source, target, target, to, start, rotation, jacobian, *forces, *both[1])
-    for found, expected in zip(*both, strict=True):
+            adj_move_vertices(0, 40, s, source, target, target, to, start, rotation, jacobian, *forces, *apart)
+    for found, expected in zip(at_once, apart, strict=True):
         assert_same(found, expected)
     outer = routes_of(range(3), range(-1, -1, -1), np.arange(3), np.arange(1, 4), wp.get_device(arrays.device))
     start[0].assign(template.astype(np.float32))
