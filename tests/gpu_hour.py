@@ -63,7 +63,9 @@ def run_apart(letter: str, arguments: list[str], folder: Path, limit_s: float = 
     answer.unlink(missing_ok=True)
     command = [sys.executable, str(Path(__file__).resolve()), *arguments, "--part", letter]
     with log.open("w", encoding="utf-8") as said:
-        process = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT, start_new_session=True)
+        process = subprocess.Popen(
+            command, stdout=said, stderr=subprocess.STDOUT, start_new_session=True, env=_environment()
+        )
         try:
             code = process.wait(limit_s)
         except subprocess.TimeoutExpired:
@@ -79,6 +81,12 @@ def run_apart(letter: str, arguments: list[str], folder: Path, limit_s: float = 
     if "skip" in found:
         raise Skip(found["skip"])
     return found["rows"]
+
+
+def _environment() -> dict[str, str]:
+    """For processes that a part starts itself: they find the project as this one does, installed or not."""
+    paths = [str(ROOT), str(ROOT / "tests"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
 def _answer(letter: str, job: Job) -> None:

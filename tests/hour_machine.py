@@ -11,7 +11,8 @@ import sys
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from hour_job import Job, sized
 
 ADDS, ADDRESSES, NODES = 170_000, 17, 1_000
 WITHOUT_PROGRAM = ("test_gpu_hour.py",)  # parts that start this program anew
+PROCESSES, TESTS_LIMIT_S = 8, 500.0
 QUICK_TESTS = ("test_cayley.py", "test_chamfer.py", "test_adam.py")
 TOOLS = ("/usr/local/cuda/bin", "/opt/nvidia/nsight-compute")
 
@@ -121,17 +123,33 @@ def _replayed(job: Job, launch: Callable[[], object], times: int) -> float:
 
 
 def part_c(job: Job) -> list[Row]:
-    """Every test that has a device, on this one; what this machine lacks packages for is counted."""
+    """Every test that has a device, on this one, files shared among processes; failures by name."""
+    from warpdef.device import usable_cores
+
     tests = Path(__file__).resolve().parent
-    answer = job.folder / "tests.xml"
+    names = QUICK_TESTS if job.quick else sorted(path.name for path in tests.glob("test_*.py"))
+    names = [name for name in names if name not in WITHOUT_PROGRAM]
+    count = min(PROCESSES, usable_cores(), len(names))
+    with ThreadPoolExecutor(count) as pool:
+        reports = list(pool.map(partial(_run_tests, job), range(count), [names[k::count] for k in range(count)]))
+    late = [name for k, report in enumerate(reports) if report is None for name in names[k::count]]
+    rows = told_of_tests([report for report in reports if report is not None])
+    return rows + [row("not done in time, one of", ", ".join(late), most=0)] * bool(late)
+
+
+def _run_tests(job: Job, number: int, names: list[str]) -> str | None:
+    """The JUnit report of these files, each in the folder of this one; None where they were not done in time."""
+    tests, answer = Path(__file__).resolve().parent, job.folder / f"tests-{number}.xml"
+    answer.unlink(missing_ok=True)
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--continue-on-collection-errors"]
-    command += ["-k", "cuda" if job.cuda else "cpu", f"--junitxml={answer}", "-n0"]
-    if not _importable("xdist"):
-        command.remove("-n0")
-    command += [f"--ignore={tests / name}" for name in WITHOUT_PROGRAM]
-    command += [str(tests / name) for name in QUICK_TESTS] if job.quick else [str(tests)]
-    subprocess.run(command, cwd=tests.parent, check=False)
-    return told_of_tests(answer.read_text(encoding="utf-8"))
+    command += ["-k", "cuda" if job.cuda else "cpu", f"--junitxml={answer}"]
+    command += ["-n0"] if _importable("xdist") else []
+    command += [str(tests / name) for name in names]
+    try:
+        subprocess.run(command, cwd=tests.parent, check=False, timeout=TESTS_LIMIT_S)
+    except subprocess.TimeoutExpired:
+        return None
+    return answer.read_text(encoding="utf-8") if answer.exists() else None
 
 
 def _importable(name: str) -> bool:
@@ -140,15 +158,15 @@ def _importable(name: str) -> bool:
     return find_spec(name) is not None
 
 
-def told_of_tests(report: str) -> list[Row]:
-    """Rows of a JUnit report: counts, and every test that failed by name.
+def told_of_tests(reports: Sequence[str]) -> list[Row]:
+    """Rows of JUnit reports: counts, and every test that failed by name.
 
     Raises:
         RuntimeError: no test ran.
     """
     counts: dict[str, int] = defaultdict(int)
     failed = []
-    for case in ElementTree.fromstring(report).iter("testcase"):
+    for case in (case for report in reports for case in ElementTree.fromstring(report).iter("testcase")):
         kinds = {child.tag for child in case}
         name = f"{case.get('classname', '')}::{case.get('name', '')}"
         trouble = case.find("failure")

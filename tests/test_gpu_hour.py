@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import gpu_hour
+import hour_machine
 import numpy as np
 import pytest
 from hour_book import DONE, FAILED, SKIPPED, Book, Row, Skip, row
@@ -97,6 +98,21 @@ def test_a_part_that_dies_says_its_last_words(tmp_path: Path, monkeypatch: pytes
         gpu_hour.run_apart("a", [], tmp_path)
 
 
+def test_what_a_part_starts_finds_the_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "starts.py"
+    program.write_text(
+        "import json, subprocess, sys\n"
+        "where = [sys.executable, '-c', 'import warpdef.kernels, hour_book; print(warpdef.__file__)']\n"
+        "found = subprocess.run(where, capture_output=True, text=True, check=True).stdout\n"
+        f"json.dump({{'rows': [found.strip()]}}, open({str(tmp_path / 'part-a.json')!r}, 'w'))\n"
+    )
+    monkeypatch.setattr(gpu_hour, "__file__", str(program))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "elsewhere"))
+    monkeypatch.chdir(tmp_path)
+    (found,) = gpu_hour.run_apart("a", [], tmp_path)
+    assert Path(str(found)) == Path(__file__).resolve().parents[1] / "warpdef" / "__init__.py"
+
+
 def test_every_part_is_there() -> None:
     import hour_fits
     import hour_machine
@@ -115,7 +131,7 @@ REPORT = """<testsuites><testsuite>
 
 
 def test_tests_are_counted_and_failures_named() -> None:
-    found = {r["what"]: r["value"] for r in told_of_tests(REPORT)}
+    found = {r["what"]: r["value"] for r in told_of_tests([REPORT])}
     assert found == {
         "passed": 1,
         "failed": 1,
@@ -124,7 +140,23 @@ def test_tests_are_counted_and_failures_named() -> None:
         "tests.test_a::bad[cuda:0]": "assert 1 == 2",
     }
     with pytest.raises(RuntimeError, match="no test ran"):
-        told_of_tests("<testsuites/>")
+        told_of_tests(["<testsuites/>"])
+
+
+def test_tests_are_shared_among_processes_and_late_ones_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = hour_machine.Job("cpu", True, tmp_path)
+    shared = []
+
+    def run(job: hour_machine.Job, number: int, names: list[str]) -> str | None:
+        shared.append((number, names))
+        return REPORT if number == 0 else None
+
+    monkeypatch.setattr("warpdef.device.usable_cores", lambda: 2)
+    monkeypatch.setattr(hour_machine, "_run_tests", run)
+    found = {r["what"]: r["value"] for r in hour_machine.part_c(job)}
+    first, second = sorted(shared)
+    assert sorted([*first[1], *second[1]]) == sorted(hour_machine.QUICK_TESTS)
+    assert found["failed"] == 1 and found["not done in time, one of"] == ", ".join(second[1])
 
 
 def test_counters_are_means_by_kernel() -> None:
