@@ -26,6 +26,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 from hour_book import Book, Row, Skip  # noqa: E402 - the folders above come first
 from hour_job import Job  # noqa: E402
 
+from warpdef.errors import WarpdefError  # noqa: E402
+
 LIMIT_S = 570.0
 TITLES = {
     "a": "driver, device, memory pools, compilation from nothing",
@@ -100,7 +102,7 @@ def _answer(letter: str, job: Job) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """0: every part asked for is done or has nothing to work with here; 1: one failed."""
+    """0: every part asked for is done or has nothing to work with here; 1: one failed; 2: no such device."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cuda", help="cuda, cuda:N or cpu")
     parser.add_argument("--quick", action="store_true", help="tiny sizes, to see that everything runs")
@@ -119,9 +121,12 @@ def main(arguments: list[str] | None = None) -> int:
     given += ["--quick"] if chosen.quick else []
     given += ["--data", str(chosen.data.resolve())] if chosen.data else []
     command = " ".join(["python tests/gpu_hour.py", *(sys.argv[1:] if arguments is None else arguments)])
-    book = Book(
-        job.folder, TITLES, job.facts(), lambda letter: run_apart(letter, given, job.folder, chosen.limit), command
-    )
+    try:
+        facts = job.facts()
+    except WarpdefError as error:
+        print(f"gpu_hour: error: {error}", file=sys.stderr)
+        return 2
+    book = Book(job.folder, TITLES, facts, lambda letter: run_apart(letter, given, job.folder, chosen.limit), command)
     try:
         well = book.go(chosen.only, chosen.again)
     except ValueError as error:

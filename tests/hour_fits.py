@@ -72,6 +72,11 @@ def _apart(a: np.ndarray, b: np.ndarray, extent: float) -> tuple[float, float]:
     return float(distance.mean()), float(distance.max())
 
 
+def _memory(job: Job, most: float | None = None) -> Row:
+    used = job.used_mb()
+    return row("memory at most", "not counted" if used is None else used, "" if used is None else "MB", used and most)
+
+
 def chamfer(found: MeshSequence, truth: MeshSequence) -> float:
     """Mean over frames of both mean squared distances between samples of the surfaces, extent 1; in 1e-5."""
     from scipy.spatial import cKDTree
@@ -171,7 +176,7 @@ def part_f(job: Job) -> list[Row]:
     work = make_work(Source("", job.truth(job.size.frames)), job.size)
     rows, count = [], 20 if job.quick else 200
     for name, chain in (("default", False), ("the paper's", True)):
-        config = _config(job, work.keyframe, chain=chain, warmup=2)
+        config = _config(job, work.keyframe, chain=chain, warmup=2, iterations=count)
         bench = _Bench(job, work, config)
         with closing(bench.team):
             times = bench.iterations(count)[count // 4 :]
@@ -190,7 +195,7 @@ def part_f(job: Job) -> list[Row]:
     return [
         *rows,
         row("memory estimated", estimate.device / 1e6, "MB"),
-        row("memory at most", job.used_mb() or "not counted", "MB"),
+        _memory(job),
     ]
 
 
@@ -202,18 +207,17 @@ def part_h(job: Job) -> list[Row]:
     size = sized(job.size, frames=6, points=1_000, vertices=2_000) if job.quick else LARGEST
     frames = job.size.frames
     work = make_work(Source("", job.truth(frames)).retimed(frames, size.frames), size)
-    config = _config(job, work.keyframe, warmup=0)
+    config = _config(job, work.keyframe, warmup=0, points=0, iterations=10)
     estimate = estimate_memory([len(c) for c in work.clouds], len(work.vertices), config, job.cuda)
     bench = _Bench(job, work, config)
     with closing(bench.team):
         times, (rounds, settled) = bench.iterations(10), bench.rounds(2)
-    used = job.used_mb()
     return [
         row("iteration", float(np.median(times[2:])), "ms"),
         row("a round", rounds[-1], "ms"),
         row("a frame settled in five rounds", settled, "ms"),
         row("memory estimated", estimate.device / 1e6, "MB"),
-        row("memory at most", used or "not counted", "MB", estimate.device / 1e6 if used else None),
+        _memory(job, estimate.device / 1e6),
     ]
 
 
@@ -292,7 +296,7 @@ def part_j(job: Job) -> list[Row]:
         row("refine, a frame", 1e3 * seconds["refine"] / frames, "ms"),
         row("tracking, mean", float(apart.mean())),
         row("tracking, worst frame", float(apart.max())),
-        row("memory at most", job.used_mb() or result.report["peak_memory_mb"], "MB"),
+        _memory(job),
     ]
 
 

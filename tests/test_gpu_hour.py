@@ -98,6 +98,11 @@ def test_a_part_that_dies_says_its_last_words(tmp_path: Path, monkeypatch: pytes
         gpu_hour.run_apart("a", [], tmp_path)
 
 
+def test_without_the_device_nothing_is_begun(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert gpu_hour.main(["--device", "cuda:99", "--out", str(tmp_path / "out")]) == 2
+    assert "cuda:99" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
 def test_what_a_part_starts_finds_the_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = tmp_path / "starts.py"
     program.write_text(
