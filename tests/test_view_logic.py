@@ -10,7 +10,7 @@ from view_samples import BAR, FRAMES, VERTICES, save_clouds, save_run, save_trut
 
 from warpdef.apps.main import run
 from warpdef.apps.view import parse_size
-from warpdef.apps.viewer.actors import point_spacing
+from warpdef.apps.viewer.actors import edge_length, point_spacing
 from warpdef.apps.viewer.checker import checker_places
 from warpdef.apps.viewer.colouring import material_colors, spread_out_vertices
 from warpdef.apps.viewer.content import Pane, load_content
@@ -104,6 +104,12 @@ def test_wrong_sizes(text):
 def test_the_spacing_of_points_is_that_of_their_grid():
     grid = np.stack(np.meshgrid(*[np.arange(6) * 0.25] * 3), axis=-1).reshape(-1, 3)
     assert point_spacing(grid) == 0.25 and point_spacing(grid[:1]) == 0.0
+
+
+def test_the_length_of_edges():
+    assert edge_length(SPHERE * 2.0, SPHERE_FACES) == pytest.approx(2.0 * edge_length(SPHERE, SPHERE_FACES))
+    assert edge_length(np.array([[0.0, 0, 0], [0, 3, 0], [0, 0, 4]]), np.array([[0, 1, 2]])) == 3.0
+    assert edge_length(np.zeros((3, 3)), np.zeros((0, 3), dtype=int)) == 0.0
 
 
 def test_nothing_at_the_place_is_said(tmp_path, capsys):

@@ -99,7 +99,7 @@ def test_the_bar_says_its_numbers_and_ends(out):
         bar = made.captions.bar
         assert bar.labels == ["0", "0.5", "1", "1.5", "2"]
         assert bar.words == ("displacement, input units", "ends as chosen; maximum in this frame 0")
-        assert made.captions.titles == ["reconstruction\nframe 2 of 5 (0 to 4): scan2.ply"]
+        assert made.captions.titles == ["reconstruction", "frame 2 of 5 (0 to 4): scan2.ply"]
         made.look.color = "plain"
         made.refresh()
         assert bar.labels == [""] * 5 and bar.words == ("", "")

@@ -16,6 +16,7 @@ from warpdef.apps.viewer.checker import REST
 PLAIN, MATERIAL = "plain", "template"
 _GREY, _CLOUD = "#c3c8d2", "#46566b"
 _EDGE = "#3a4250"
+_EDGE_OPACITY, _EDGE_PIXELS = 0.6, 12.0  # of edges that are at least so long on the picture
 
 
 @dataclass
@@ -64,7 +65,13 @@ class SurfaceActor:
         self._mapper.InterpolateScalarsBeforeMappingOn()
         self.actor.SetMapper(self._mapper)
         self._checker = Checker(self.actor, self._mapper)
-        self.actor.prop.edge_color, self.actor.prop.line_width, self.actor.prop.edge_opacity = _EDGE, 1.0, 0.6
+        self.actor.prop.edge_color, self.actor.prop.line_width = _EDGE, 1.0
+        self._edge = edge_length(vertices, faces)
+
+    def size_edges(self, pixels_per_length: float) -> None:
+        """Edges as faint as they are dense: where triangles are small, their edges would hide the surface."""
+        pixels = self._edge * pixels_per_length
+        self.actor.prop.edge_opacity = min(max(pixels * _EDGE_OPACITY / _EDGE_PIXELS, 0.1), _EDGE_OPACITY)
 
     def _surface(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         found = self._pane.surface(frame)
@@ -189,6 +196,14 @@ class CloudActor:
     def forget(self) -> None:
         """The mesh is another now, so are the distances to it."""
         self._frames.clear()
+
+
+def edge_length(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Median length of the faces' first edges, in the units of vertices (V, 3); 0 without faces."""
+    import numpy as np
+
+    ends = vertices[faces[:, :2]]
+    return float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))) if len(faces) else 0.0
 
 
 def point_spacing(points: np.ndarray, samples: int = 100) -> float:

@@ -68,7 +68,7 @@ class Captions:
         self.over = over = overlay(plotter)
         """What is drawn over all panes."""
         self.bar, self.scale_bar = ColorBar(over), ScaleBar(over)
-        self.timeline, self._reading = Timeline(over), Text(over, "right")
+        self.timeline, self._frame, self._reading = Timeline(over), Text(over), Text(over, "right")
 
     def put(
         self, content: Content, scales: Scales, color: str, frame: int, size: tuple[int, int], *, slider: bool = False
@@ -77,11 +77,12 @@ class Captions:
         width, height = size
         letters = letter_size(height)
         pane_width = width / len(content.panes)
-        frame_line = frame_title(content, frame)
-        for index, (pane, text) in enumerate(zip(content.panes, self._titles, strict=True)):
-            lines = [pane_title(pane, color), "" if index else frame_line]
-            words = "\n".join(shortened(line, pane_width - letters, letters) for line in lines)
+        for pane, text in zip(content.panes, self._titles, strict=True):
+            text.set_color(TEXT_COLOR)
+            words = shortened(pane_title(pane, color), pane_width - letters, letters)
             text.put(words, (0.5 * letters / pane_width, 1.0 - 0.4 * letters / height), letters)
+        line = shortened(frame_title(content, frame), width - letters, letters)
+        self._frame.put(line, (0.5 * letters / width, 1.0 - (0.4 + LINE) * letters / height), letters)
         if color in content.measures:
             below = letters * (_EDGE + (SLIDER if slider else 0.0))
             self.bar.put(scales, color, content.unit, [frame], size, letters, below)
@@ -105,6 +106,7 @@ class Captions:
                 words += f"{', ' if words else ''}{pane.title}"
             place = (0.4 * letters / pane_width, 1.0 - 0.3 * letters / height)
             text.put(shortened(words, pane_width - 0.5 * letters, letters), place, letters)
+        self._frame.put("", (0.0, 0.0), letters)
         self.bar.hide()
 
     def put_scale(
@@ -130,8 +132,8 @@ class Captions:
 
     @property
     def titles(self) -> list[str]:
-        """What is written above the panes."""
-        return [text.text for text in self._titles]
+        """What is written above the panes, and of the frame."""
+        return [*(text.text for text in self._titles), self._frame.text]
 
 
 def pane_title(pane: Pane, color: str) -> str:

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 TEXT_COLOR = "#20242c"
-CHARACTER = 0.55
+CHARACTER = 0.5
 """About how wide a character is, in the size of its text."""
 
 

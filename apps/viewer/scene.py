@@ -81,7 +81,7 @@ class Scene:
         self.place_camera()
         self.show(0)
         # The mouse turns the camera without asking anybody here.
-        self.plotter.renderers[0].AddObserver("StartEvent", lambda *_: self._write_scale())
+        self.plotter.renderers[0].AddObserver("StartEvent", lambda *_: self._follow_camera())
 
     def place_camera(self, turn: float = 0.0, all_round: bool = False) -> None:
         """Stand where the whole motion is seen, ``turn`` degrees about the up axis from the usual place."""
@@ -171,15 +171,18 @@ class Scene:
             self.captions.put_on_tile(self.content, self.frame, size)
         else:
             self.captions.put(self.content, self.scales, self.look.color, self.frame, size, slider=self._window)
-        self._write_scale()
+        self._follow_camera()
 
-    def _write_scale(self) -> None:
-        """The scale bar, for where the camera stands now."""
+    def _follow_camera(self) -> None:
+        """The scale bar and the edges, for where the camera stands now."""
+        width, height = self.plotter.window_size
+        pixels = pixels_per_length(self.plotter.renderers[0].camera.distance, height)
+        for surface in self.surfaces:
+            if surface is not None and self.look.wireframe:
+                surface.size_edges(pixels)
         if not self.look.scale_bar or self.tile:
             self.captions.scale_bar.hide()
             return
-        width, height = self.plotter.window_size
-        pixels = pixels_per_length(self.plotter.renderers[0].camera.distance, height)
         self.captions.put_scale(self.content, self.look.color, pixels, (width, height), slider=self._window)
 
     def refresh(self) -> None:
