@@ -142,11 +142,13 @@ def unit_name(metres_per_unit: float) -> str:
 def say_measure(animation: Animation, suffix: str, rigged: bool) -> None:
     """What the colours stand for, and where a format shows them once only."""
     measured = animation.measured
-    if measured is None:
+    if measured is not None:
+        low, high = measured.limits
+        print(f"{measured.what}: colours from {low:.3g} to {high:.3g}")
+    elif animation.frame_colors is None:
         return
-    low, high = measured.limits
-    print(f"{measured.what}: colours from {low:.3g} to {high:.3g}")
     if rigged:
-        say("warpdef: a rig moves no colours: those of the mean over the frames are in the file")
+        over = "median" if measured is None else "mean"
+        say(f"warpdef: a rig moves no colours: those of the {over} over the frames are in the file")
     elif suffix == "glb":
         say("warpdef: the colours of a .glb change in web viewers; Blender shows the first frame's, but all of a .usdc")

@@ -256,7 +256,7 @@ def run_to_folder(
                     steps=result.steps,
                     names=sequence.frame_names,
                     motion=result.motion,
-                    appearance=result.appearance if saved is None else _look_of_template(result),
+                    appearance=result.appearance if saved is None else _look_after_resuming(result),
                     confidence=result.confidence,
                 )
         except BaseException:
@@ -288,8 +288,14 @@ def _drop(checkpoint: Path) -> None:
         say(f"warpdef: {checkpoint} is no longer needed but cannot be removed ({error.strerror}); delete it by hand")
 
 
+def _look_after_resuming(result: Reconstruction) -> Appearance | None:
+    """Colours and texture of the template given, for a run that went on from a checkpoint, which has only its shape;
+    else the colours of the clouds."""
+    own = _look_of_template(result)
+    return result.appearance if own is None else own.over(result.appearance)
+
+
 def _look_of_template(result: Reconstruction) -> Appearance | None:
-    """Colours and texture of the template given, for a run that went on from a checkpoint, which has only its shape."""
     from warpdef.files import read_mesh
 
     file = result.config.template.mesh

@@ -26,6 +26,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "cut_static": FREE,
     "drop_strays": FREE,
     "drop_odd_frames": FREE,
+    "colours": (["", "some"], ["still", "moving", "off"]),
     "fill": ([0, -0.5, 1.01], [0.5, 1]),
     "seed": ([-1], [0, 2**40]),
     "keyframe.choice": (["last", "", "-1", "1.5"], ["auto", "first", "middle", "0", "12"]),

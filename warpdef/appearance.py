@@ -1,9 +1,9 @@
-"""What a mesh looks like, apart from its shape: colours and a texture, which no motion changes."""
+"""What a mesh looks like, apart from its shape: colours, which may change from frame to frame, and a texture."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -21,10 +21,11 @@ class Appearance:
     corner_uv: those of the faces' corners, where vertices of a seam (F, 3, 2) float32
                have several; instead of ``uv``
     texture:   the image on it, where it has texture coordinates
+    frame_colors: colours of every frame of a mesh that moves            (T, V, 3) uint8, beside ``colors``
     notes:     why an image that the mesh names is missing, a line each
     """
 
-    NAMES: ClassVar[tuple[str, ...]] = ("vertex_colors", "uv", "corner_uv")
+    NAMES: ClassVar[tuple[str, ...]] = ("vertex_colors", "uv", "corner_uv", "frame_colors")
     """Names of the arrays in an .npz."""
 
     colors: np.ndarray | None = None
@@ -32,6 +33,7 @@ class Appearance:
     corner_uv: np.ndarray | None = None
     texture: Texture | None = None
     notes: tuple[str, ...] = ()
+    frame_colors: np.ndarray | None = None
 
     @classmethod
     def checked(
@@ -42,6 +44,7 @@ class Appearance:
         uv: np.ndarray | None = None,
         corner_uv: np.ndarray | None = None,
         texture: Texture | None = None,
+        frame_colors: np.ndarray | None = None,
     ) -> Appearance:
         """Take arrays that fit a mesh.
 
@@ -61,11 +64,29 @@ class Appearance:
         corner_uv = _coordinates(corner_uv, (face_count, 3, 2), "one pair a corner of a face")
         if texture is not None and uv is None and corner_uv is None:
             raise InputError("texture image: expected texture coordinates with it, got none; give uv or corner_uv")
-        return cls(colors, uv, corner_uv, texture)
+        if frame_colors is not None:
+            frame_colors = np.asarray(frame_colors)
+            shape = (*frame_colors.shape[:1], vertex_count, 3)
+            if frame_colors.dtype != np.uint8 or frame_colors.shape != shape:
+                raise InputError(
+                    f"colours of the frames: expected uint8 of shape (T, {vertex_count}, 3), got {frame_colors.dtype} "
+                    f"of {frame_colors.shape}"
+                )
+        return cls(colors, uv, corner_uv, texture, frame_colors=frame_colors)
+
+    def over(self, other: Appearance | None) -> Appearance:
+        """This look, with the other's colours where it has neither colours nor an image."""
+        if other is None or self.colors is not None or self.texture is not None:
+            return self
+        return replace(self, colors=other.colors, frame_colors=other.frame_colors)
+
+    def colors_of(self, frame: int) -> np.ndarray | None:
+        """Colours that a frame shows: its own, else those of all frames, else None."""
+        return self.colors if self.frame_colors is None else self.frame_colors[frame]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What there is, by its names in an .npz."""
-        found = zip(self.NAMES, (self.colors, self.uv, self.corner_uv), strict=True)
+        found = zip(self.NAMES, (self.colors, self.uv, self.corner_uv, self.frame_colors), strict=True)
         return {name: array for name, array in found if array is not None}
 
     @classmethod
@@ -75,8 +96,8 @@ class Appearance:
         Raises:
             InputError: an array does not fit the mesh.
         """
-        colors, uv, corner_uv = (arrays.get(name) for name in cls.NAMES)
-        return cls.checked(vertex_count, face_count, colors, uv, corner_uv)
+        colors, uv, corner_uv, frame_colors = (arrays.get(name) for name in cls.NAMES)
+        return cls.checked(vertex_count, face_count, colors, uv, corner_uv, frame_colors=frame_colors)
 
 
 def split_seams(corner_uv: np.ndarray, faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, ...]:

@@ -325,6 +325,8 @@ class Config:
     """Cut planes wider than the object that stand still in all frames: floor, walls, table; objects alone keep all."""
     drop_strays: bool = True
     """Leave out points that belong to no surface: single ones and loose clusters far from it; clean clouds keep all."""
+    colours: Literal["still", "moving", "off"] = "still"
+    """Colours of the clouds on the mesh: ``still``, a median over the frames; ``moving``, of each frame; ``off``."""
     drop_odd_frames: bool = True
     """Leave out frames that are unlike their neighbours while those are alike; their meshes are interpolated."""
     fill: float = 0.95
@@ -343,6 +345,7 @@ class Config:
         parse_slice(self.frames)
         parse_box(self.crop)
         require(self.points == 0 or self.points >= 10, "points", "0 (all) or at least 10", self.points)
+        require(self.colours in ("still", "moving", "off"), "colours", "still, moving or off", self.colours)
         require(0 < self.fill <= 1, "fill", "above 0, up to 1", self.fill)
         require(self.seed >= 0, "seed", "0 or more", self.seed)
         exact_on_pruned = self.sobolev.solver == "cosine" and self.grid.prune

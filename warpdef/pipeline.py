@@ -11,11 +11,13 @@ import platform
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 import warpdef
+from warpdef.appearance import Appearance
 from warpdef.config import Config
 from warpdef.device import device_warnings, load_kernels, team_size, usable_cores
 from warpdef.errors import MissingPackageError
@@ -27,6 +29,7 @@ from warpdef.fit.run import FitRun
 from warpdef.fit.saving import Saved, Saver, lasting_facts
 from warpdef.fit.workers import Team
 from warpdef.geometry.cloud_normals import pca_normals
+from warpdef.geometry.surface_colors import surface_colors
 from warpdef.geometry.viewpoint import seen_normals, viewing_direction
 from warpdef.kernel_cache import cache_warnings
 from warpdef.memory import MemoryEstimate
@@ -40,6 +43,8 @@ from warpdef.result import Reconstruction
 from warpdef.sequence import PointSequence, Similarity
 from warpdef.shortage import device_memory, explained_shortage, retried
 from warpdef.template.choose import ChosenTemplate, accept_user_template, choose_template
+
+_UNSEEN_TOLD = 0.01
 
 
 def reconstruct(
@@ -134,11 +139,12 @@ def reconstruct(
                 )
 
                 result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=run.steps, motion=motion)
-                result.appearance = None if template is None else template.appearance
                 with clock.phase("assess"):
+                    result.appearance, colored, left = _look(result, sequence, template)
                     judged = _assess(result, sequence, threads or usable_cores())
                 result.report = _report(sequence, chosen, run, team.size, clock, estimate)
-                result.report["warnings"] += judged.pop("warnings")
+                result.report["warnings"] += left + judged.pop("warnings")
+                result.report["colours"] = colored
                 ended = interruption.signal if run.stopped and interruption.asked else None
                 result.report |= {"interrupted": ended is not None, "signal": ended, "resumed": resumed, **judged}
                 result.report["input"] = {"path": safeguards.notes.get("input", ""), "digests": facts["digests"]}
@@ -194,6 +200,26 @@ def _surface_normals(
     if view is not None:
         return [seen_normals(p, view, neighbours) if n is None else n for p, n in zip(clouds, given, strict=True)]
     return [pca_normals(p, neighbours) if n is None else n for p, n in zip(clouds, given, strict=True)]
+
+
+def _look(
+    result: Reconstruction, sequence: PointSequence, template: TriMesh | None
+) -> tuple[Appearance | None, dict[str, Any] | None, list[str]]:
+    """The template's own colours and image, else those of the clouds; what the report says of these; warnings."""
+    own, mode = Appearance() if template is None else template.appearance or Appearance(), result.config.colours
+    bare = own if own.arrays() else None
+    if mode == "off" or not sequence.colors:
+        return bare, None, []
+    if own.colors is not None or own.texture is not None:
+        return bare, None, ["the colours of the clouds are left behind: the template has its own look"]
+    clouds = sequence.all_frames(), sequence.all_normals(), sequence.all_colors()
+    found = surface_colors(result.vertices, result.faces, *clouds, moving=mode == "moving")
+    if found is None:
+        return bare, None, ["the clouds have colours, but none of their points is near the mesh: it has none"]
+    left = f"{found.unseen:.1%} of the vertices are shown by no frame: their colours are those of their neighbours"
+    told = {"mode": mode, "frames": sum(c is not None for c in sequence.colors), "unseen": round(found.unseen, 4)}
+    look = own.over(Appearance(colors=found.still, frame_colors=found.moving))
+    return look, told, [left] if found.unseen >= _UNSEEN_TOLD else []
 
 
 def _assess(result: Reconstruction, sequence: PointSequence, threads: int) -> dict:

@@ -78,7 +78,7 @@ class Reconstruction(Moving):
     report:   versions, device, keyframe and why, template statistics, seconds, losses, solver statistics, warnings
     steps:    the loss curve, one record every few iterations
     motion:   the deformation grids, for ``deform``
-    appearance: colours and texture coordinates of a template given, where it has any
+    appearance: colours of the clouds, or colours and texture coordinates of a template given, where they have any
     confidence: how far each vertex of each frame can be trusted, 255 for 1   (T, V) uint8
     """
 

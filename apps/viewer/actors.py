@@ -122,7 +122,7 @@ class SurfaceActor:
             mapper.SetColorModeToMapScalars()
             mapper.SelectColorArray("value")
         elif color == MATERIAL:
-            if not self._painted:
+            if not self._painted or (self._pane.colors is not None and self._pane.colors.ndim == 3):
                 self._painted = True
                 self._paint_material(frame)
             mapper.SetColorModeToDirectScalars()
@@ -138,7 +138,7 @@ class SurfaceActor:
 
         pane = self._pane
         if pane.colors is not None:
-            self.data.point_data["rgb"] = pane.colors
+            self.data.point_data["rgb"] = pane.colors if pane.colors.ndim == 2 else pane.colors[frame]
             return
         rest = pane.rest
         if rest is None:

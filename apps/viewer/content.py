@@ -29,7 +29,7 @@ class Pane:
     title:     shown above it
     meshes:    the moving mesh; or one mesh a frame, of any triangles; or nothing
     clouds:    point clouds over it                               T arrays (N_t, 3)
-    colors:    of the vertices, where there are any of their own  (V, 3) uint8
+    colors:    of the vertices, where there are any of their own  (V, 3) uint8, or (T, V, 3) of every frame
     colouring: the measures that the mesh can be coloured by
     keyframe:  frame that the mesh was built on
     against:   what the error is the distance to
@@ -216,7 +216,11 @@ def _run_pane(path: Path, run, title: str, chosen: list[int], origin: np.ndarray
     from warpdef.mesh import MeshSequence
     from warpdef.vertex_measures import VertexMeasures
 
-    colors = shown_colors(run.appearance, run.meshes.faces, run.meshes.vertices.shape[1])
+    colors = run.appearance.frame_colors
+    if colors is None:
+        colors = shown_colors(run.appearance, run.meshes.faces, run.meshes.vertices.shape[1])
+    else:
+        colors = colors[chosen]
     vertices = run.meshes.vertices[chosen]
     meshes = MeshSequence(vertices - origin if origin.any() else vertices, run.meshes.faces)
     # The keyframe may not be among the frames shown; the nearest one takes its part.

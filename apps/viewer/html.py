@@ -137,9 +137,10 @@ def _colors(pane: Pane, content: Content, look: Look, parents: np.ndarray) -> di
             packed["checker"] = {"frame": pane.keyframe, "low": corner.tolist(), "scale": scale, "dark": 1.0 - SHADE}
     if look.color != "plain":
         # Four bytes a vertex, as graphics cards read them.
-        rows = np.full((len(colors), 4), 255, dtype=np.uint8)
-        rows[:, :3] = colors[:, :3]
+        rows = np.full((*colors.shape[:-1], 4), 255, dtype=np.uint8)
+        rows[..., :3] = colors[..., :3]
         packed["colors"] = deflated(rows)
+        packed["colorful"] = colors.ndim == 3  # each frame has its own
     if pane.colouring is not None and look.color in pane.colouring.measures:
         from matplotlib import colormaps
 

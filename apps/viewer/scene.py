@@ -283,6 +283,7 @@ class Scene:
                 ways = np.column_stack([np.full(count, length), np.arange(count * length).reshape(count, length)])
                 lines = pyvista.PolyData(points, lines=ways.ravel())
                 colors = material_hues(at_keyframe) if pane.colors is None else pane.colors
+                colors = colors if colors.ndim == 2 else colors[pane.keyframe]
                 lines.point_data["rgb"] = np.repeat(colors[chosen], length, axis=0)
                 self.plotter.subplot(0, index)
                 self.trails[index] = self.plotter.add_mesh(

@@ -160,6 +160,7 @@ function sample(rows, most) {
 }
 async function prepare(pane) {
   const made = { title: pane.title, measured: !!pane.values, checker: pane.checker, outline: [] };
+  made.colorful = pane.colorful;
   made.table = texture(pane.table ? await inflate(pane.table) : new Uint8Array(3));
   if (pane.faces) {
     const count = pane.count, faces = await indices(pane.faces), near = lowerNeighbours(faces, count);
@@ -204,7 +205,7 @@ function drawPane(pane, x, y, width, height, scale) {
       attribute(i, pane.rows, 4, gl.UNSIGNED_SHORT, true, 8 * t * pane.count);
       attribute(2 + i, pane.normals, 4, gl.BYTE, true, 4 * t * pane.count);
     });
-    attribute(4, pane.colors, 4, gl.UNSIGNED_BYTE, true, 0);
+    attribute(4, pane.colors, 4, gl.UNSIGNED_BYTE, true, pane.colorful ? 4 * now * pane.count : 0);
     const checker = pane.checker;
     gl.uniform1f(U.dark, checker ? checker.dark : 0);
     if (checker) {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
@@ -39,6 +39,7 @@ class Animation:
     up:              the axis that points up in the data         "y" or "z"
     metres_per_unit: length of the input's unit, metres
     colors:          red, green, blue and perhaps alpha, sRGB    (V, 3) or (V, 4) uint8, or None
+    frame_colors:    colours of every frame, in their place      (T, V, 3) uint8, or None
     uv:              texture coordinates, origin lower left      (V, 2) float32, or None
     normals:         where they are not those of the faces       (T, V, 3) float32, or None
     origin:          point that the mesh's positions count from  (3,) float64, input units; chosen if not given: 0, but
@@ -58,6 +59,7 @@ class Animation:
     origin: np.ndarray = cast(np.ndarray, None)  # chosen below if not given
     texture: Texture | None = None
     measured: VertexValues | None = None
+    frame_colors: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.fps) and self.fps > 0.0):
@@ -82,6 +84,8 @@ class Animation:
         look = Appearance.checked(vertices.shape[1], len(self.meshes.faces), self.colors, self.uv, texture=self.texture)
         object.__setattr__(self, "colors", look.colors)
         object.__setattr__(self, "uv", look.uv)
+        if self.frame_colors is not None and self.frame_colors.shape != vertices.shape:
+            raise InputError(f"frame colours: expected shape {vertices.shape}, got {self.frame_colors.shape}")
         if self.measured is not None and self.measured.values.shape != vertices.shape[:2]:
             raise InputError(f"measure: expected numbers of {vertices.shape[:2]}, got {self.measured.values.shape}")
         if self.normals is not None:
@@ -132,8 +136,12 @@ class Animation:
 
     @cached_property
     def moving_colors(self) -> np.ndarray | None:
-        """Colours that change from frame to frame, those of a measure, sRGB: shape (T, V, 3) uint8, or None."""
-        return None if self.measured is None else self.measured.colors()
+        """Colours that change from frame to frame, a measure's or their own, sRGB: shape (T, V, 3) uint8, or None."""
+        return self.frame_colors if self.measured is None else self.measured.colors()
+
+    def colors_of(self, frame: int) -> np.ndarray | None:
+        """The surface's own colours in a frame, shape (V, 3) or (V, 4) uint8, or None."""
+        return self.colors if self.frame_colors is None else self.frame_colors[frame]
 
     def all_normals(self) -> np.ndarray:
         """``normals_of`` every frame, shape (T, V, 3) float32."""
@@ -151,12 +159,14 @@ def dress(
     Raises:
         InputError: something does not fit, or a number is out of range.
     """
-    colors, uv = look.colors, look.uv
+    colors, uv, moving = look.colors, look.uv, look.frame_colors
     if look.corner_uv is not None:
         source, faces, uv = split_seams(look.corner_uv, faces, vertices.shape[1])
         vertices = vertices[:, source]
         colors, normals = None if colors is None else colors[source], None if normals is None else normals[:, source]
-    return Animation(MeshSequence(vertices, faces), colors=colors, uv=uv, normals=normals, texture=look.texture, **how)
+        moving = None if moving is None else moving[:, source]
+    more = {"colors": colors, "uv": uv, "normals": normals, "texture": look.texture, "frame_colors": moving}
+    return Animation(MeshSequence(vertices, faces), **more, **how)
 
 
 def load_animation(
@@ -190,9 +200,22 @@ def load_animation(
     times = pace(chosen, fps, slow, recorded_fps)
     how = {"names": frame_names(run.names, times), "fps": fps, "up": up, "metres_per_unit": metres_per_unit}
     if measures is None or not color:
-        return dress(run.at(times), run.faces, run.appearance, **how)
+        look = run.appearance
+        if look.frame_colors is not None:
+            look = replace(look, frame_colors=_colors_at(look.frame_colors, times))
+        return dress(run.at(times), run.faces, look, **how)
     measured = measure_vertices(measures, color, times, unit)
     return Animation(MeshSequence(run.at(times), run.faces), measured=measured, **how)
+
+
+def _colors_at(colors: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Colours (T, V, 3) uint8 at times counted in frames, linear between two of them, shape (n, V, 3) uint8."""
+    before = np.floor(times).astype(int)
+    after = np.minimum(before + 1, len(colors) - 1)
+    share = np.asarray(times) - before
+    return np.stack(
+        [np.rint((1 - s) * colors[a] + s * colors[b]) for a, b, s in zip(before, after, share, strict=True)]
+    ).astype(np.uint8)
 
 
 def linear_colors(colors: np.ndarray) -> np.ndarray:

@@ -3,8 +3,8 @@
 The first frame is the base mesh; frame t is the base plus target t - 1 at weight 1. By default numbers are quantised
 (KHR_mesh_quantization): positions as 16-bit multiples of one step, of which every frame is the nearest, so that no
 error adds up; normals as bytes, or as 16 bits in frames that turn some of them nearly about. The node carries the way
-back to the data's own numbers. A measure's colours change by targets, too; programs that know none of colours, Blender
-among them, show those of the first frame.
+back to the data's own numbers. Colours of a measure or of every frame change by targets, too; programs that know none
+of colours, Blender among them, show those of the first frame.
 """
 
 from __future__ import annotations

@@ -30,7 +30,8 @@ def write_ply_folder(animation: Animation, folder: Path) -> None:
         numbers = {animation.measured.name: animation.measured.values}
         comments += (f"{animation.measured.name}: {animation.measured.what}",)
     normals = animation.all_normals()
-    write_ply_frames(folder, animation.places, normals, animation.colors, animation.uv, faces, comments, numbers)
+    colors = animation.colors if animation.frame_colors is None else animation.frame_colors
+    write_ply_frames(folder, animation.places, normals, colors, animation.uv, faces, comments, numbers)
     if texture is not None:
         (folder / image_name(texture)).write_bytes(texture.data)
 
@@ -49,21 +50,18 @@ def write_ply_frames(
 
     Args:
         points: shape (T, N, 3), float32 or float64, and so in the file. normals: shape (T, N, 3).
-        colors: shape (N, 3) or (N, 4) uint8. uv: shape (N, 2).
+        colors: shape (N, 3) or (N, 4) uint8, or of every frame, (T, N, 3). uv: shape (N, 2).
         faces: rows of the face element as they stand in the file. comments: lines of the header.
         numbers: further properties by name, each (T, N).
     """
     folder.mkdir()
     fields = [(axis, "<f8" if points.dtype == np.float64 else "<f4") for axis in "xyz"]
     fields += [] if normals is None else [(f"n{axis}", "<f4") for axis in "xyz"]
-    shades = () if colors is None else ("red", "green", "blue", "alpha")[: colors.shape[1]]
+    shades = () if colors is None else ("red", "green", "blue", "alpha")[: colors.shape[-1]]
     fields += [(name, "u1") for name in shades]
     fields += [] if uv is None else [("s", "<f4"), ("t", "<f4")]
     fields += [(name, "<f4") for name in numbers or ()]
     rows = np.zeros(points.shape[1], dtype=fields)
-    if colors is not None:
-        for column, name in enumerate(shades):
-            rows[name] = colors[:, column]
     if uv is not None:
         rows["s"], rows["t"] = uv.T
     words = {"<f4": "float", "<f8": "double", "u1": "uchar"}
@@ -77,6 +75,10 @@ def write_ply_frames(
         rows["x"], rows["y"], rows["z"] = positions.T
         if normals is not None:
             rows["nx"], rows["ny"], rows["nz"] = normals[frame].T
+        if colors is not None and (frame == 0 or colors.ndim == 3):
+            own = colors[frame] if colors.ndim == 3 else colors
+            for column, name in enumerate(shades):
+                rows[name] = own[:, column]
         for name, values in (numbers or {}).items():
             rows[name] = values[frame]
         end = b"" if faces is None else faces.tobytes()
@@ -104,8 +106,8 @@ def obj_text(animation: Animation, frame: int, local: bool = False) -> bytes:
     positions = animation.vertices[frame]
     columns = [positions if local or not animation.is_far else positions + animation.origin]
     line = "v %.9g %.9g %.9g" if columns[0].dtype == np.float32 else "v %.17g %.17g %.17g"
-    if animation.colors is not None:
-        columns.append(animation.colors[:, :3] / 255.0)
+    if (colors := animation.colors_of(frame)) is not None:
+        columns.append(colors[:, :3] / 255.0)
         line += " %.6g %.6g %.6g"
     table = np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
     mark = OBJ_MARK.decode()

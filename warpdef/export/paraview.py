@@ -28,14 +28,14 @@ def write_pvd(animation: Animation, path: Path) -> None:
     folder = path.with_name(f"{path.stem}_vtp")
     folder.mkdir()
     mesh = pyvista.PolyData.from_regular_faces(animation.places[0].copy(), animation.faces)
-    if animation.colors is not None:
-        mesh.point_data["colors"] = animation.colors
     if animation.uv is not None:
         mesh.active_texture_coordinates = animation.uv
     lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']
     lines += ["  <Collection>"]
     for frame, positions in enumerate(animation.places):
         mesh.points = np.array(positions)
+        if (colors := animation.colors_of(frame)) is not None:
+            mesh.point_data["colors"] = colors
         mesh.point_data["Normals"] = animation.normals_of(frame)
         mesh.point_data.active_normals_name = "Normals"
         if animation.measured is not None:

@@ -17,9 +17,9 @@ def write_usd(animation: Animation, path: Path) -> None:
     """Write .usd, .usda, .usdc or .usdz by the suffix of ``path``.
 
     Time codes are frame numbers from 0. Triangles are shaded smoothly by the normals of every frame. Colours go to
-    ``displayColor`` (linear), which the material reads, and ``displayOpacity``; a measure's are time samples. Texture
-    coordinates go to ``primvars:st``. Data far from its origin stands there by a translation of the parent. A texture's
-    image is a file beside it, ``walk_usdc_warpdef_texture.png``; a .usdz holds it itself.
+    ``displayColor`` (linear), which the material reads, and ``displayOpacity``; a measure's and those of every frame
+    are time samples. Texture coordinates go to ``primvars:st``. Data far from its origin stands there by a translation
+    of the parent. A texture's image is a file beside it, ``walk_usdc_warpdef_texture.png``; a .usdz holds it itself.
 
     Raises:
         MissingPackageError: usd-core is not installed.
@@ -88,7 +88,7 @@ def _fill(stage: Any, animation: Animation) -> None:
         normals.Set(Vt.Vec3fArray.FromNumpy(animation.normals_of(frame)), frame)
         corners = [Gf.Vec3f(*map(float, corner)) for corner in (positions.min(axis=0), positions.max(axis=0))]
         extent.Set(Vt.Vec3fArray(corners), frame)
-    if animation.colors is not None:
+    if animation.colors is not None and moving is None:
         light = linear_colors(animation.colors).astype(np.float32)
         color = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
         color.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(light[:, :3])))

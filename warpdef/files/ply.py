@@ -257,13 +257,14 @@ def _whole_numbers(values: np.ndarray, where: str) -> np.ndarray:
     return values.astype(np.int64)
 
 
-def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None) -> None:
     """Write a mesh as binary little-endian PLY; the file appears at once or not at all.
 
     Args:
         path: where to; an existing file is replaced.
         vertices: shape (V, 3); float32 is stored as float, anything else as double.
         faces: shape (F, 3), indices into ``vertices``.
+        colors: shape (V, 3) or (V, 4) uint8, written as red, green, blue and alpha.
 
     Raises:
         InputError: wrong shapes or indices, or the file cannot be written.
@@ -277,8 +278,15 @@ def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     real = "float" if single else "double"
     header = ["ply", "format binary_little_endian 1.0", "comment warpdef", f"element vertex {len(vertices)}"]
     header += [f"property {real} {axis}" for axis in "xyz"]
+    shades = () if colors is None else ("red", "green", "blue", "alpha")[: colors.shape[1]]
+    header += [f"property uchar {name}" for name in shades]
+    kind = "<f4" if single else "<f8"
+    points = np.empty(len(vertices), dtype=[("xyz", kind, (3,)), ("rgb", "u1", (len(shades),))])
+    points["xyz"] = vertices
+    if colors is not None:
+        points["rgb"] = colors
     header += [f"element face {len(rows)}", "property list uchar int vertex_indices", "end_header", ""]
     with replacing(path) as stream:
         stream.write("\n".join(header).encode("ascii"))
-        stream.write(np.ascontiguousarray(vertices, dtype="<f4" if single else "<f8").tobytes())
+        stream.write(points.tobytes())
         stream.write(rows.tobytes())

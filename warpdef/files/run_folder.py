@@ -1,8 +1,9 @@
 """The folder of one run: complete or not there, never half, and nothing of anyone else's is ever deleted.
 
     sequence.npz   vertices (T, V, 3) in input units, float32 (far from the origin float64), faces (F, 3) int32,
-                   keyframe, names (T,), confidence (T, V) uint8; of a template given vertex_colors and uv or corner_uv,
-                   where it has any
+                   keyframe, names (T,), confidence (T, V) uint8; vertex_colors (V, 3) or (V, 4) uint8, sRGB, of
+                   coloured clouds or a template given, frame_colors (T, V, 3) uint8 where each frame has its own, and
+                   of a template uv (V, 2) or corner_uv (F, 3, 2), where it has any
     texture.png    the image on that template, or texture.jpg, byte for byte
     motion.npz     the deformation grids, for `warpdef deform`
     meshes/        0000.ply, 0001.ply, ...: the same, one mesh a frame
@@ -148,6 +149,9 @@ class RunFolder:
             raise InputError(
                 f"{self.path}: confidence: expected shape {sequence.vertices.shape[:2]}, got {confidence.shape}"
             )
+        if appearance is not None and appearance.frame_colors is not None:
+            if len(appearance.frame_colors) != len(sequence):
+                raise InputError(f"{self.path}: expected colours of {len(sequence)} frames, got others")
         temporary = sibling(self.path, "partial")
         try:
             (temporary / "meshes").mkdir(parents=True)
@@ -161,7 +165,8 @@ class RunFolder:
             if motion is not None:
                 write_npz(temporary / "motion.npz", motion.arrays())
             for frame, positions in enumerate(sequence.vertices):
-                write_ply(temporary / "meshes" / f"{frame:04d}.ply", positions, sequence.faces)
+                shades = None if appearance is None else appearance.colors_of(frame)
+                write_ply(temporary / "meshes" / f"{frame:04d}.ply", positions, sequence.faces, shades)
             write_text(temporary / "config.toml", config_to_toml(config))
             write_text(temporary / "steps.jsonl", "".join(json_text(step, None) + "\n" for step in steps))
             write_text(temporary / "report.json", json_text(report() if callable(report) else report) + "\n")

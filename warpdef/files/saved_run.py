@@ -37,7 +37,7 @@ class SavedRun(Moving):
     names:      the input's frame names   T strings
     config:     the configuration of the run
     report:     contents of report.json
-    appearance: colours and texture of the template given, where it had any
+    appearance: colours of the clouds, or colours and texture of the template given, where they had any
     confidence: of each vertex of each frame, 255 for 1 (T, V) uint8; None for results of earlier versions
     """
 
@@ -113,6 +113,8 @@ def load_run(path: Path | str) -> SavedRun:
     look = {name: npz.array(name) for name in Appearance.NAMES if name in npz}
     try:
         appearance = Appearance.from_arrays(look, meshes.vertices.shape[1], len(meshes.faces))
+        if appearance.frame_colors is not None and len(appearance.frame_colors) != len(meshes):
+            raise InputError(f"frame_colors: expected {len(meshes)} frames, got {len(appearance.frame_colors)}")
     except InputError as error:
         raise InputError(f"{npz.path}: {error}") from None
     confidence = npz.array("confidence") if "confidence" in npz else None
