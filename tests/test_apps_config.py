@@ -44,6 +44,7 @@ def other_value(key: str, default: object) -> object:
         "optimiser.decay": "constant",
         "template.depth": 9,
         "refine.noisy_thickness": 0.7,
+        "colours": "moving",
         "columns": "x,y,z",
         "crop": "0:1,:,:",
     }
