@@ -48,3 +48,20 @@ def test_vertices_are_fitted_to_all_points_whatever_grids_are_fitted_to(device: 
         where = (chosen[t][:, None] == cloud.astype(np.float32)).all(axis=2)
         assert (where.sum(axis=1) == 1).all() and len(set(where.argmax(axis=1))) == 20
         np.testing.assert_array_equal(normals[t], sides[where.argmax(axis=1)].astype(np.float32))
+
+
+def test_points_that_grids_are_fitted_to_are_evenly_spread(device: str) -> None:
+    """No point of a cloud is far from all of them, as it were if those that come first were taken."""
+    p = Toy(device, chain=False, points=20).problem
+    for cloud, chosen in zip(p.by_frame(p.cloud.numpy()), np.split(p.sample.points.numpy(), [20, 40]), strict=True):
+        apart = [np.linalg.norm(cloud[:, None] - some, axis=2).min(axis=1).max() for some in (chosen, cloud[:20])]
+        assert apart[0] < 0.7 * apart[1]
+
+
+def test_vertices_reach_twice_as_far_where_a_frame_seems_to_show_all(device: str) -> None:
+    """Only what follows the grids has such a bound, not the paper's descent."""
+    whole, partial = (Toy(device, chain=False, partial=t).objective.transform.sides for t in ((), (0, 1, 2)))
+    assert whole[1] is not None and partial[1] is not None
+    np.testing.assert_allclose(whole[1].numpy(), 2.0 * partial[1].numpy())
+    assert np.isfinite(partial[1].numpy()).all()
+    assert Toy(device).objective.transform.sides[1] is None

@@ -104,13 +104,13 @@ def test_rotations_match_the_twin(mesh: Mesh, state) -> None:
     np.testing.assert_allclose(found, twin.fit_rotations(x, y, mesh.edges), rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("off", [0.0, 0.05, 0.5, 2.0, np.pi, np.nan, "zero", "mirror"])
+@pytest.mark.parametrize("off", [0.0, 0.05, 0.5, 2.0, np.pi, np.nan, "zero", "mirror", "longer"])
 def test_rotations_do_not_depend_on_where_they_are_looked_for(mesh: Mesh, state, rng, off) -> None:
     """From any rotation, and from what is none."""
     x, y, _ = state
     expected = twin.fit_rotations(x, y, mesh.edges)
     if isinstance(off, str):
-        start = np.zeros_like(expected) if off == "zero" else -expected
+        start = {"zero": 0.0, "mirror": -1.0, "longer": 1.5}[off] * expected
     else:
         by = synthetic.turn_about(rng.normal(size=3), off) if np.isfinite(off) else np.full((3, 3), np.nan)
         start = expected @ by

@@ -120,7 +120,7 @@ class _Walk:
     def _bend(self, frame: int, neighbour: int) -> None:
         """The neighbour's mesh bent onto a frame by matches, and settled; kept if it leaves less uncovered."""
         vertices = self.objective.vertices[frame]
-        before, left = vertices.numpy(), self.search.uncovered(frame)
+        before, left = vertices.numpy().copy(), self.search.uncovered(frame)  # a view on the CPU
         if not self.search.learn(frame, neighbour):
             return
         vertices.assign(self.search.vertices[frame].astype(np.float32))

@@ -1,0 +1,63 @@
+"""When a frame is bent by matches on the way outwards: lost ones alone, once more from behind, only for the better."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_follow import FRAMES, KEYFRAME, lost_chain
+
+from warpdef.fit import follow as walks
+from warpdef.fit.follow import follow
+from warpdef.fit.recover import Search
+from warpdef.fit.workers import Team
+
+
+def tried(monkeypatch: pytest.MonkeyPatch, lost: set[int], partial: tuple[int, ...] = ()) -> list[tuple[int, int]]:
+    """Frames bent, each with the neighbour it was bent from, if these frames stay lost whatever is done."""
+    calls: list[tuple[int, int]] = []
+    monkeypatch.setattr(Search, "lost", lambda self, t: t in lost)
+    monkeypatch.setattr(walks._Walk, "_bend", lambda self, frame, neighbour: calls.append((frame, neighbour)))
+    with closing(Team(1)) as team:
+        optimiser, refinement = lost_chain(team, chain=False)
+        optimiser.problem.measures.complete = ~np.isin(np.arange(FRAMES), partial)
+        followed, bent = follow(optimiser.objective, refinement)
+    assert followed == [t for t in range(FRAMES) if t != KEYFRAME] and bent == []
+    return calls
+
+
+def test_what_stays_lost_is_tried_once_more_from_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the first frame behind it that is not lost, no matter on which side of the keyframe."""
+    assert tried(monkeypatch, {8, 9, 3}) == [(8, 7), (9, 8), (9, 10), (3, 4), (3, 2)]
+
+
+def test_the_last_frame_has_none_behind_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert tried(monkeypatch, {0, FRAMES - 1}) == [(FRAMES - 1, FRAMES - 2), (0, 1)]
+
+
+def test_incomplete_frames_are_never_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert tried(monkeypatch, {8, 9, 3}, partial=(8, 9)) == [(3, 4), (3, 2)]
+
+
+def test_what_covers_less_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bent far away, a frame goes back to where the grids and the vertex stage had left it."""
+
+    def learn(self: Search, t: int, neighbour: int) -> bool:
+        self.vertices[t] = self.vertices[neighbour] + 5.0
+        return True
+
+    found = []
+    for bends in (True, False):
+        with monkeypatch.context() as patch, closing(Team(1)) as team:
+            patch.setattr(Search, "lost", lambda self, t: t == KEYFRAME + 1)
+            patch.setattr(Search, "learn", learn)
+            optimiser, refinement = lost_chain(team, chain=False)
+            config = optimiser.problem.config
+            optimiser.problem.config = replace(config, refine=replace(config.refine, recover=bends))
+            found.append((follow(optimiser.objective, refinement)[1], optimiser.objective.vertices.numpy().copy()))
+    (bent, vertices), (_, expected) = found
+    assert bent == []
+    np.testing.assert_array_equal(vertices[KEYFRAME + 1], expected[KEYFRAME + 1])
+    np.testing.assert_allclose(vertices, expected, rtol=0, atol=1e-3)
