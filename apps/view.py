@@ -108,6 +108,8 @@ def view(
         raise InputError("--turntable: expected --movie FILE for it, got none; name it")
     if transparent and (screenshot is None or screenshot.suffix.lower() != ".png" or movie is not None):
         raise InputError("--transparent: expected --screenshot FILE.png alone; other files have no transparency")
+    if scale_bar and html is not None and screenshot is None and movie is None:
+        raise InputError("--scale-bar: expected a window, --screenshot or --movie, got --html alone; a page has none")
     if not output.exists():
         raise InputError(f"{output}: nothing is there; expected the folder of a result, as reconstruct writes it")
     check_outputs(screenshot, movie, html, overwrite)

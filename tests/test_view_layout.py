@@ -9,7 +9,7 @@ from warpdef.apps.viewer.bars import round_length
 from warpdef.apps.viewer.camera import VIEW_ANGLE, Room, Stand, camera_axes, fit_camera, seen_aspect
 from warpdef.apps.viewer.captions import room_for
 from warpdef.apps.viewer.content import Content, Pane
-from warpdef.apps.viewer.flat import CHARACTER, shortened
+from warpdef.apps.viewer.flat import CHARACTER, letter_size, shortened
 from warpdef.apps.viewer.scales import Scales, color_map
 from warpdef.apps.viewer.sheet import sheet_columns, sheet_frames, tile_size
 from warpdef.mesh import MeshSequence
@@ -70,8 +70,9 @@ def test_the_scale_bar_has_a_round_length(most, length):
 
 @pytest.mark.parametrize("height", [64, 120, 400, 2000])
 def test_what_is_written_leaves_room(height):
-    tile, plain, bar = room_for(height, tile=True), room_for(height), room_for(height, bar=True)
-    window = room_for(height, bar=True, slider=True)
+    size = 2 * height, height
+    tile, plain, bar = room_for(size, tile=True), room_for(size), room_for(size, bar=True)
+    window = room_for(size, bar=True, slider=True)
     assert plain.bottom < bar.bottom <= window.bottom <= 0.3
     assert plain.top <= 0.3 and tile.top <= 0.3 and 1.0 - bar.top - bar.bottom > 0.39
 
@@ -94,6 +95,12 @@ def test_tiles_are_as_narrow_as_the_motion_and_within_the_size():
 )
 def test_rows_of_a_sheet(count, aspect, columns):
     assert sheet_columns(count, aspect) == columns
+
+
+def test_letters_fit_tall_pictures_too():
+    assert letter_size((1280, 720)) == 15.0
+    assert letter_size((600, 2000)) == letter_size((600, 450)) < letter_size((2000, 2000))
+    assert letter_size((64, 64)) == 11.0
 
 
 def test_long_lines_lose_their_middle():

@@ -287,6 +287,7 @@ def test_an_empty_pane_has_no_surface():
         (["--sheet", "4"], ["--sheet", "--screenshot"]),
         (["--transparent"], ["--transparent", "--screenshot FILE.png"]),
         (["--transparent", "--screenshot", "a.jpg"], ["--transparent", "no transparency"]),
+        (["--scale-bar", "--html", "a.html"], ["--scale-bar", "a page has none"]),
         (["--turntable"], ["--turntable", "--movie"]),
         (["--html", "a.html", "--frame", "5"], ["--frame", "0..4", "got 5"]),
         (["--html", "a.html", "--color", "error"], ["--color error", "--truth or --input"]),

@@ -155,6 +155,16 @@ def test_a_sheet_has_one_bar(out):
     assert 0.4 * foot.shape[1] < colored.sum() < 0.8 * foot.shape[1]
 
 
+def test_a_movie_after_a_sheet_is_a_movie(out, tmp_path):
+    files = ["--screenshot", str(tmp_path / "a.png"), "--movie", str(tmp_path / "a.gif")]
+    assert run(["view", str(out), *files, "--sheet", "4", "--color", "error", *SIZE]) == 0
+    both = Image.open(tmp_path / "a.gif")
+    assert run(["view", str(out), "--movie", str(tmp_path / "b.gif"), "--color", "error", *SIZE]) == 0
+    alone = Image.open(tmp_path / "b.gif")
+    assert both.size == alone.size and both.n_frames == alone.n_frames == 5
+    assert differs(*(np.asarray(image.convert("RGB")).astype(int) for image in (both, alone))) == 0.0
+
+
 def test_a_transparent_picture(out, tmp_path):
     for flags in ([], ["--sheet", "3"]):
         opaque = shot(out, "--color", "plain", *flags)

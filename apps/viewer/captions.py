@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpdef.apps.viewer.bars import BAR, SCALE_BAR, ColorBar, ScaleBar
 from warpdef.apps.viewer.camera import Room
-from warpdef.apps.viewer.flat import TEXT_COLOR, Text, letter_size, shortened
+from warpdef.apps.viewer.flat import CHARACTER, TEXT_COLOR, Text, letter_size, shortened
 from warpdef.apps.viewer.judged import COLORS
 from warpdef.apps.viewer.timeline import Timeline
 from warpdef.quality.verdict import GOOD
@@ -21,17 +21,19 @@ TITLE_LINES = 2
 SLIDER = 4.8
 """Height below the bar that a window's slider takes, and the strip under it."""
 _EDGE = 0.5
+_TILE_WORDS = 9.5
+"""Width of the longest that is written on a tile, a frame's number and its verdict, in letters' sizes."""
 
 
 def room_for(
-    height: int, *, tile: bool = False, bar: bool = False, scale_bar: bool = False, slider: bool = False
+    size: tuple[int, int], *, tile: bool = False, bar: bool = False, scale_bar: bool = False, slider: bool = False
 ) -> Room:
-    """What titles, bars and slider leave of a picture of that height in pixels."""
-    size = tile_letter_size(height) if tile else letter_size(height)
+    """What titles, bars and slider leave of a picture of that width and height in pixels."""
+    height, letters = size[1], tile_letter_size(size[1]) if tile else letter_size(size)
     above = _EDGE + (LINE if tile else LINE * TITLE_LINES)
     below = _EDGE + (BAR if bar else 0.0) + (SCALE_BAR if scale_bar else 0.0) + (SLIDER if slider else 0.0)
     # Small pictures would be nothing but text.
-    top, bottom = (min(part * size / height, 0.3) for part in (above, below))
+    top, bottom = (min(part * letters / height, 0.3) for part in (above, below))
     return Room(top=top, bottom=bottom)
 
 
@@ -75,7 +77,7 @@ class Captions:
     ) -> None:
         """What belongs to a frame, for a window or a picture of ``size`` pixels."""
         width, height = size
-        letters = letter_size(height)
+        letters = letter_size(size)
         pane_width = width / len(content.panes)
         for pane, text in zip(content.panes, self._titles, strict=True):
             text.set_color(TEXT_COLOR)
@@ -83,6 +85,7 @@ class Captions:
             text.put(words, (0.5 * letters / pane_width, 1.0 - 0.4 * letters / height), letters)
         line = shortened(frame_title(content, frame), width - letters, letters)
         self._frame.put(line, (0.5 * letters / width, 1.0 - (0.4 + LINE) * letters / height), letters)
+        self.put_reading(self.reading, size)
         if color in content.measures:
             below = letters * (_EDGE + (SLIDER if slider else 0.0))
             self.bar.put(scales, color, content.unit, [frame], size, letters, below)
@@ -94,7 +97,8 @@ class Captions:
     def put_on_tile(self, content: Content, frame: int, size: tuple[int, int]) -> None:
         """The frame's number, and the panes' titles where there are several."""
         width, height = size
-        pane_width, letters = width / len(content.panes), tile_letter_size(height)
+        pane_width = width / len(content.panes)
+        letters = min(tile_letter_size(height), pane_width / _TILE_WORDS)
         for index, (pane, text) in enumerate(zip(content.panes, self._titles, strict=True)):
             words = "" if index else f"frame {frame}"
             if not index and content.judged is not None and (verdict := content.judged[frame].verdict) != GOOD:
@@ -113,16 +117,21 @@ class Captions:
         self, content: Content, color: str, pixels: float, size: tuple[int, int], *, slider: bool = False
     ) -> None:
         """The scale bar, above the colour bar, where a length of 1 takes so many pixels."""
-        letters = letter_size(size[1])
+        letters = letter_size(size)
         bar = BAR if color in content.measures else 0.0
         below, pane_width = letters * (2.0 * _EDGE + bar + (SLIDER if slider else 0.0)), size[0] / len(content.panes)
         self.scale_bar.put(pixels, content.unit, size, letters, below, min(0.14 * size[0], 0.4 * pane_width))
 
     def put_reading(self, words: str, size: tuple[int, int]) -> None:
-        """What is under the mouse, in the right corner: in the first line, or below the titles of several panes."""
-        letters = letter_size(size[1])
-        words = shortened(words, 0.7 * size[0], letters)
-        above = 0.4 + (LINE if len(self._titles) > 1 else 0.0)
+        """What is under the mouse, in the right corner: in the first line that has room for it."""
+        letters = letter_size(size)
+        words = shortened(words, 0.96 * size[0], letters)
+        # Of several titles the last one stands in that corner.
+        taken = [self._titles[0].text if len(self._titles) == 1 else None, self._frame.text]
+        most = size[0] / (CHARACTER * letters) - len(words) - 2.0
+        free = [k for k, text in enumerate(taken) if text is not None and len(text) < most]
+        line = free[0] if free else len(taken)
+        above = 0.4 + LINE * line
         self._reading.put(words, (1.0 - 0.5 * letters / size[0], 1.0 - above * letters / size[1]), letters)
 
     @property

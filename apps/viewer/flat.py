@@ -53,7 +53,7 @@ class Text:
     @property
     def text(self) -> str:
         """What it says."""
-        return self.actor.GetInput() if self.actor.GetVisibility() else ""
+        return (self.actor.GetInput() or "") if self.actor.GetVisibility() else ""
 
 
 class Boxes:
@@ -94,9 +94,9 @@ class Boxes:
         self.actor.SetVisibility(on)
 
 
-def letter_size(height: int) -> float:
-    """Pixels of the letters in a picture of that height: legible in small ones, not lost in large ones."""
-    return min(max(height / 48.0, 11.0), 48.0)
+def letter_size(size: tuple[int, int]) -> float:
+    """Pixels of the letters in a picture of that width and height: legible in small ones, not lost in large ones."""
+    return min(max(min(size[1], 0.75 * size[0]) / 48.0, 11.0), 48.0)
 
 
 def shortened(text: str, width: float, size: float) -> str:

@@ -94,7 +94,7 @@ class Scene:
                 self.content.up,
                 width / len(self.content.panes) / height,
                 stand=self.stand,
-                room=self.room(height),
+                room=self.room((width, height)),
                 turn=turn,
                 all_round=all_round,
             )
@@ -146,12 +146,12 @@ class Scene:
                 return reading(self.content, pane, self.frame, self.look.color, picker.GetCellId(), weights)
         return ""
 
-    def room(self, height: int) -> Room:
-        """What is left for the motion in a picture of that height; in a window the bar's place is always kept."""
+    def room(self, size: tuple[int, int]) -> Room:
+        """What is left for the motion in a picture of that width and height; a window always keeps the bar's place."""
         if self.tile:
-            return room_for(height, tile=True)
+            return room_for(size, tile=True)
         bar = self._window or self.look.color in self.content.measures
-        return room_for(height, bar=bar, scale_bar=self.look.scale_bar, slider=self._window)
+        return room_for(size, bar=bar, scale_bar=self.look.scale_bar, slider=self._window)
 
     def show(self, frame: int) -> None:
         """Move everything to a frame; nothing is rendered yet."""
@@ -225,9 +225,14 @@ class Scene:
         self.plotter.render_window.Render()
         return self._taken(self.plotter)
 
-    def seen_aspect(self, height: int) -> float:
-        """Width over height of the narrowest pane that shows the motion as large as a wide one of that height does."""
-        return seen_aspect(self.content.outline, self.content.up, self.stand, self.room(height))
+    def seen_aspect(self, size: tuple[int, int]) -> float:
+        """Width over height of the narrowest pane that shows the motion as large as a wide one of that height does.
+
+        A kept camera sees what it saw: its panes are as wide as the picture of ``size`` has them.
+        """
+        if self._kept is not None:
+            return size[0] / len(self.content.panes) / size[1]
+        return seen_aspect(self.content.outline, self.content.up, self.stand, self.room(size))
 
     def foot(self, frames: list[int], width: int, tile_height: int) -> np.ndarray | None:
         """The bars below some frames as a picture of that width, as high as they need; None without any."""

@@ -22,7 +22,7 @@ def contact_sheet(scene: Scene, count: int, size: tuple[int, int]) -> np.ndarray
     content, before = scene.content, list(scene.plotter.window_size)
     frames = sheet_frames(len(content), count)
     scene.tile = True
-    scene.plotter.window_size = list(tile_size(scene.seen_aspect(size[1]) * len(content.panes), size))
+    scene.plotter.window_size = list(tile_size(scene.seen_aspect(size) * len(content.panes), size))
     scene.place_camera()
     pictures = []
     for frame in frames:

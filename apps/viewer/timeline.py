@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from warpdef.apps.viewer.flat import Boxes, Text
+from warpdef.apps.viewer.flat import CHARACTER, Boxes, Text
 from warpdef.apps.viewer.judged import COLORS
 
 if TYPE_CHECKING:
@@ -58,6 +58,8 @@ class Timeline:
         self._mark.show(True)
         residual = judged[frame].residual
         words = "no points" if residual is None else f"{residual:.2g} % of the extent"
+        if CHARACTER * letters * len(words) > (1.0 - boxes[-1, 2]) * size[0] - 2.0 * letters:
+            words = words.removesuffix(" of the extent")
         self._name.put("residual", (LEFT - gap - (boxes[0, 2] - boxes[0, 0]) / 2.0, _BOTTOM * line), letters)
         self._value.put(words, (RIGHT + gap + (boxes[0, 2] - boxes[0, 0]) / 2.0, _BOTTOM * line), letters)
 

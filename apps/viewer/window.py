@@ -125,7 +125,7 @@ class Window:
         """Above the strip, however high the window is."""
         if self._slider is None:
             return
-        drawn, height = self._slider.GetRepresentation(), SLIDER_AT * letter_size(self._size[1]) / self._size[1]
+        drawn, height = self._slider.GetRepresentation(), SLIDER_AT * letter_size(self._size) / self._size[1]
         drawn.GetPoint1Coordinate().SetValue(LEFT, height)
         drawn.GetPoint2Coordinate().SetValue(RIGHT, height)
         drawn.Modified()  # its ends are not counted as its own
