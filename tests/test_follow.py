@@ -10,6 +10,7 @@ import pytest
 import synthetic
 from descent import chained
 from leg_samples import DEGREE, body, cloud_of
+from refine_samples import MovingEllipsoid
 
 from warpdef.config import Config
 from warpdef.device import Way, find_device, going
@@ -186,3 +187,17 @@ def test_a_guide_has_no_warm_up_and_any_threads_give_the_same_bits() -> None:
             found.append(optimiser.nodes.numpy().copy())
     np.testing.assert_array_equal(*found)
     assert np.abs(found[0]).max() > 0
+
+
+def test_what_a_frame_does_not_show_goes_with_its_neighbour() -> None:
+    """Every other frame shows half; of it alone, nothing is known yet of where the frames around it are."""
+    scene = MovingEllipsoid.make(5, 800, np.random.default_rng(3), seen=lambda t, p: (p[:, 0] < 0.1) | (t % 2 == 0))
+    config = replace(Config(), grid=replace(GRID, levels=2))
+    problem = Problem(scene.clouds, scene.normals, scene.vertices[2], scene.faces, 2, config, find_device("cpu"))
+    with closing(Team(1)) as team:
+        optimiser = Optimiser(problem, 1, team)
+        optimiser.finish()
+        refinement = Refinement(optimiser.objective, team)
+        assert refinement.unseen.frames.tolist() == [1, 3]
+        assert follow(optimiser.objective, refinement)[0] == [0, 1, 3, 4]
+    assert scene.off_surface(optimiser.objective.placed_vertices()).max() < 0.1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections import defaultdict
 from pathlib import Path
 
@@ -56,3 +57,9 @@ def test_names_that_stand_twice_are_found(texts: list[str], found: list[str], tm
     for path, text in zip(paths, texts, strict=True):
         path.write_text(text)
     assert list(classes_of_one_name(paths)) == found
+
+
+def test_the_head_of_the_fit_names_all_rooms() -> None:
+    folder = ROOT / "warpdef" / "fit"
+    head = (folder / "__init__.py").read_text()
+    assert [path.stem for path in folder.glob("[a-z]*.py") if not re.search(rf"\b{path.stem}\b", head)] == []

@@ -1,1 +1,25 @@
-"""The fit: the problem laid out on a device, objective, optimiser and vertex stage, and the threads that run them."""
+"""The fit, from clouds and a template in the cube to the vertices of all frames. Begin with ``run``.
+
+A room a file, in the order in which a run goes through them:
+
+    problem, measures, morton   what is given, laid out on the device; what is measured on it before a fit
+    pool, workers               arrays handed out and counted; threads that run phases of tasks, or one graph
+    optimise, parameters        the descent on grids and template; values under the preconditioner, as Adam moves them
+    sobolev                     which solver that is
+    objective, terms            what is descended on, in its phases; a class a loss term
+    chain, correspondences      the template moved through all frames, and back; who is nearest to whom
+
+Without the paper's chain the mesh then follows the grids, frame by frame:
+
+    follow                      outwards from the keyframe, by ``refine`` and, what is lost, by ``recover``
+    bending                     the same where one camera saw a part of the surface
+    recover, embedded           lost limbs found again by matches; a mesh bent by a few hundred rigid pieces
+
+The vertex stage, which ends the fit:
+
+    refine                      rounds of Gauss-Newton on every vertex of every frame, by
+    pairing, unseen             pairs of points and mesh and their planes; what holds a vertex without points
+    rest_shape                  one shape that all frames share
+
+And around all of it ``run`` (what goes on when; stops, undone iterations) and ``saving`` (checkpoints in time).
+"""
