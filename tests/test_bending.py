@@ -11,8 +11,8 @@ from leg_samples import DEGREE, body
 
 from warpdef.config import Config
 from warpdef.device import find_device
-from warpdef.fit.bending import Bending, SeenCloud
-from warpdef.fit.embedded import Pose
+from warpdef.fit.bending import NODES, Bending, SeenCloud
+from warpdef.fit.embedded import DeformationGraph, Pose
 from warpdef.fit.follow import follow
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
@@ -119,3 +119,66 @@ def test_clouds_of_one_camera_are_followed_by_bending():
     assert bent == []
     size = [lengths(v, problem.faces).sum() for v in optimiser.objective.vertices.numpy()]
     np.testing.assert_allclose(size, size[2], rtol=0.03)
+
+
+def test_chords_go_through_the_inside_of_a_body():
+    """From side to side of each leg, never across the gap between the two."""
+    rest, faces = body((0.0, 0.0))
+    bending = bending_of(rest, faces)
+    shell = DeformationGraph.build(rest, unique_edges(faces), NODES)
+    known = set(map(tuple, shell.link.tolist()))
+    chords = np.array([pair for pair in bending.graph.link.tolist() if tuple(pair) not in known])
+    assert len(chords) > 100 and len(np.unique(bending.graph.link, axis=0)) == len(bending.graph.link)
+    a, b = rest[bending.graph.node[chords]].transpose(1, 0, 2)
+    # Winding number of the closed mesh around inner places of the chords: 1 inside.
+    inside = np.concatenate([a + s * (b - a) for s in (0.25, 0.5, 0.75)])
+    assert np.abs(winding(inside, rest, faces) - 1.0).max() < 0.1
+
+
+def winding(places: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Solid angle of all triangles over 4 pi (van Oosterom and Strackee 1983), for places (N, 3)."""
+    a, b, c = (vertices[faces[:, i]][None] - places[:, None] for i in range(3))
+    la, lb, lc = (np.linalg.norm(x, axis=2) for x in (a, b, c))
+    over = (a * np.cross(b, c)).sum(axis=2)
+    under = la * lb * lc + (a * b).sum(axis=2) * lc + (b * c).sum(axis=2) * la + (c * a).sum(axis=2) * lb
+    return np.arctan2(over, under).sum(axis=1) / (2.0 * np.pi)
+
+
+def test_a_body_seen_from_above_keeps_its_thickness():
+    direction, faces = synthetic.icosphere(3)
+    rest = direction * [1.0, 0.6, 0.4]
+    there = rest + [[0.0, 0.0, 0.3]] * rest[:, :1] ** 2
+    bending = bending_of(rest, faces)
+    placed = bending.place(bending.onto(seen_part(there, faces), bending.still()))
+    top, bottom = (int(np.argmax(s * rest[:, 2])) for s in (1.0, -1.0))
+    thickness = np.linalg.norm(placed[top] - placed[bottom])
+    assert abs(thickness - 0.8) < 0.06
+    shell = Bending(rest, faces, unique_edges(faces))
+    shell.graph = DeformationGraph.build(rest, unique_edges(faces), NODES)
+    flat = shell.place(shell.onto(seen_part(there, faces), shell.still()))
+    assert abs(np.linalg.norm(flat[top] - flat[bottom]) - 0.8) > 2.0 * abs(thickness - 0.8)
+
+
+def test_what_one_camera_does_not_see_is_held_where_the_bending_left_it():
+    turning = synthetic.turning_ellipsoid(3, 3000, np.random.default_rng(0), subdivisions=3)
+    shown = [normals @ EYE > 0.1 for normals in turning.normals]
+    clouds, normals = ([a[s] for a, s in zip(all_, shown, strict=True)] for all_ in (turning.clouds, turning.normals))
+    config = replace(Config(), grid=replace(Config().grid, levels=3))
+    with closing(Team(1)) as team:
+        problem = Problem(
+            clouds, normals, turning.vertices[1], turning.faces, 1, config, find_device("cpu"), seen=True
+        )  # fmt: skip
+        optimiser = Optimiser(problem, 1, team)
+        optimiser.finish()
+        refinement = Refinement(optimiser.objective, team)
+        assert refinement.unseen and not refinement.unseen.by_time
+        assert "expected" in refinement.state()
+        follow(optimiser.objective, refinement)
+        refinement.start()
+        expected = refinement.state()["expected"].numpy()
+        for _ in range(5):
+            refinement.run_round()
+        np.testing.assert_array_equal(refinement.state()["expected"].numpy(), expected)
+    rest, placed = problem.template, optimiser.objective.vertices.numpy()
+    hidden = vertex_normals(turning.vertices[1], turning.faces)[np.argsort(problem.place)] @ EYE < -0.5
+    assert np.linalg.norm(placed[1] - rest, axis=1)[hidden].max() < 0.01

@@ -18,13 +18,15 @@ import numpy as np
 
 from warpdef.fit.embedded import DeformationGraph, Pose
 from warpdef.geometry.sampling import spread_evenly
-from warpdef.geometry.triangles import vertex_normals
+from warpdef.geometry.triangles import is_watertight, vertex_normals
 
 NODES = 300
 POINTS = 2000
 """Points of a frame, and vertices, that are matched: spread evenly."""
 SCHEDULE = ((30.0, 30.0, 4), (20.0, 5.0, 3), (12.0, 1.0, 5), (8.0, 0.3, 5), (5.0, 0.1, 5), (3.0, 0.03, 5))
-"""Reach in point spacings, rigidity, and Gauss-Newton steps with them."""
+"""Reach in point spacings, rigidity, and Gauss-Newton steps with them at most."""
+STILL = 0.3
+"""Largest move of a vertex in a step, in point spacings, below which the next reach is taken."""
 FACING = 3.0
 AGREEMENT = 0.3
 TANGENTIAL = 0.1
@@ -58,6 +60,8 @@ class Bending:
     def __init__(self, rest: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> None:
         self.rest, self.faces = rest, faces
         self.graph = DeformationGraph.build(rest, edges, NODES)
+        if is_watertight(faces):
+            self.graph = self.graph.braced(rest, vertex_normals(rest, faces))
         self._chosen = spread_evenly(rest, POINTS) if len(rest) > POINTS else np.arange(len(rest))
 
     def still(self) -> Pose:
@@ -73,11 +77,11 @@ class Bending:
         from scipy.spatial import cKDTree
 
         pose, turned = start, FACING * cloud.spacing
+        placed = self.place(pose)
         seen = np.column_stack([cloud.points, turned * cloud.normals])
         tree = cKDTree(seen)
         for reach, rigidity, steps in SCHEDULE:
             for _ in range(steps):
-                placed = self.place(pose)
                 facing = vertex_normals(placed, self.faces)
                 mesh = np.column_stack([placed, turned * facing])[self._chosen]
                 asked = self._chosen[cKDTree(mesh).query(seen)[1]]
@@ -95,4 +99,7 @@ class Bending:
                 vertex, point, weight = vertex[kept], point[kept], weight[kept]
                 goal = cloud.points[point], cloud.normals[point]
                 pose = self.graph.step(self.rest, pose, vertex, *goal, rigidity, TANGENTIAL, weight)
+                before, placed = placed, self.place(pose)
+                if np.abs(placed - before).max() < STILL * cloud.spacing:
+                    break
         return pose

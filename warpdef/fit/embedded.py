@@ -6,11 +6,12 @@ a handful of Gauss-Newton steps, where moving every vertex by itself would need 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 _NEAREST = 4  # nodes a vertex
+_STRAIGHT = 0.8  # least cosine of a chord with the normals at its ends
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,34 @@ class DeformationGraph:
         shared = (touch.T @ touch).tocoo()
         apart = (shared.row != shared.col) & (shared.data > 0)
         return cls(node, index, weight, np.column_stack([shared.row[apart], shared.col[apart]]).astype(np.int64))
+
+    def braced(self, rest: np.ndarray, normals: np.ndarray) -> DeformationGraph:
+        """The same with links through the inside of a closed mesh, each node to the nearest on the other side.
+
+        A shell alone flattens where nothing holds its far side; with chords a body keeps its thickness. Of a mesh
+        ``rest`` (V, 3) with outward unit normals (V, 3).
+        """
+        from scipy.spatial import cKDTree
+
+        chords = np.full(len(self.node), -1)
+        for k, node in enumerate(self.node):
+            step = rest - rest[node]
+            length = np.linalg.norm(step, axis=1)
+            across = (-(step @ normals[node]) > _STRAIGHT * length) & (
+                (step * normals).sum(axis=1) > _STRAIGHT * length
+            )
+            if across.any():
+                # Nodes stand far apart: the nearest vertex is on the same limb, the nearest node need not be.
+                chords[k] = self.index[np.flatnonzero(across)[np.argmin(length[across])], 0]
+        a, b = np.flatnonzero(chords >= 0), chords[chords >= 0]
+        within, tree = np.ones(len(a), dtype=bool), cKDTree(rest)
+        for share in (0.2, 0.35, 0.5, 0.65, 0.8):
+            middle = (1.0 - share) * rest[self.node[a]] + share * rest[self.node[b]]
+            nearest = tree.query(middle)[1]
+            within &= ((middle - rest[nearest]) * normals[nearest]).sum(axis=1) < 0
+        a, b = a[within], b[within]
+        link = np.unique(np.concatenate([self.link, np.column_stack([a, b]), np.column_stack([b, a])]), axis=0)
+        return replace(self, link=link[link[:, 0] != link[:, 1]])
 
     def place(self, rest: np.ndarray, pose: Pose) -> np.ndarray:
         """All vertices, (V, 3), of the mesh ``rest`` (V, 3) in ``pose``."""

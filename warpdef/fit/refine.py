@@ -153,6 +153,7 @@ class Refinement:
             "fate": self._fate,
             "normals": self.problem.normals,
             "shape_start": self.shape.start,
+            **self.unseen.state(),
         }
 
     def restore(self, state: Mapping[str, wp.array | np.ndarray], done: int) -> None:
@@ -194,6 +195,6 @@ class Refinement:
             ("edges", [partial(self.shape.ask, a, b) for a, b in runs]),
             ("shape", [self.shape.solve]),
         ]
-        if self.unseen:
+        if self.unseen and self.unseen.by_time:
             phases.insert(0, ("expect", [partial(self.unseen.expect, a, b) for a, b in frames]))
         return [Phase(name, tasks) for name, tasks in phases]

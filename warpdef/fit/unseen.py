@@ -1,4 +1,9 @@
-"""Where vertices are expected that a frame does not show: halfway between the frames around it (``kernels.unseen``)."""
+"""Where vertices are expected that a frame does not show (``kernels.unseen``).
+
+Halfway between the frames around it, where these show all of the surface. Where one camera saw all frames none does:
+then the far side of a closed mesh stays where the bent template brought it (``bending``), which is rigid and thick. An
+open one is what the camera saw; nearly all of it has points.
+"""
 
 from __future__ import annotations
 
@@ -20,20 +25,24 @@ class Unseen:
     Args:
         vertices: of all frames, shape (T, V) vec3. rotation: theirs, from the rest shape, (T, V) mat33.
 
-    frames: those held, ascending; none with fewer than three frames.
+    frames: those held, ascending; none with fewer than three frames, all of a closed mesh that one camera saw.
+    by_time: whether places are expected by the frames around; else they are those that ``stay`` was told.
     """
 
     def __init__(self, problem: Problem, vertices: wp.array, rotation: wp.array) -> None:
         p, self._vertices, self._rotation = problem, vertices, rotation
+        self.by_time = not p.seen or p.border is not None
         self._count = p.vertex_count
         near, far, between = _around(p.frame_count)
         complete = p.measures.complete
         # A guess from guesses is none: one of the frames around must show all, at either end the nearer one.
-        held = ~complete & (complete[near] | (complete[far] & (between == 1)))
-        self.frames = np.flatnonzero(held) if p.frame_count >= 3 else np.zeros(0, dtype=int)
+        held = ~complete & (complete[near] | (complete[far] & (between == 1))) & (p.frame_count >= 3)
+        if not self.by_time:
+            held[:] = True
+        self.frames = np.flatnonzero(held)
         self._around = p.integers(near), p.integers(far), p.integers(between)
         self._hold = p.numbers(np.where(held, _HOLD, 0.0))
-        self._expected = wp.zeros_like(vertices) if len(self.frames) else None
+        self._expected = wp.clone(vertices) if len(self.frames) else None
 
     def __bool__(self) -> bool:
         return len(self.frames) > 0
@@ -53,6 +62,10 @@ class Unseen:
         """Add what holds vertices that have no pairs to the normal equations; shapes (T V,)."""
         begin, count = first * self._count, (last - first) * self._count
         hold_unseen(begin, count, pairing.met, self._places().flatten(), self._hold, matrix_out, rhs_out)
+
+    def state(self) -> dict[str, wp.array]:
+        """What is expected and does not follow from the vertices, by name."""
+        return {} if self.by_time else {"expected": self._places()}
 
     def _places(self) -> wp.array:
         assert self._expected is not None
