@@ -182,7 +182,7 @@ BREAKS = [
     Break("warpdef/fit/bending.py", "agree = (facing[vertex] * cloud.normals[point]).sum(axis=1) > AGREEMENT",
           "agree = np.ones(len(away))", ("bending",), "points face the far side"),
     Break("warpdef/fit/run.py", "(r.config.recover or not self.optimiser.config.chain)", "r.config.recover",
-          ("pipeline", "resume"), "without recovery nothing follows the grids"),
+          ("pipeline",), "without recovery nothing follows the grids"),
 ]
 # fmt: on
 

@@ -123,6 +123,16 @@ def test_the_report_tells_what_was_done(clouds, template, device: str) -> None:
     assert report["peak_memory_mb"] > 10 and report["frames"] == 4
 
 
+@pytest.mark.parametrize(("chain", "recover", "rounds"), [(False, False, 6), (False, True, 0), (True, False, 6)])
+def test_which_fits_follow_their_grids(clouds, template, chain: bool, recover: bool, rounds: int) -> None:
+    """All that have no chain, whether or not lost limbs are looked for; after the paper's descent lost frames alone."""
+    config = quick(10, 1)
+    optimiser = replace(config.optimiser, chain=chain)
+    config = replace(config, optimiser=optimiser, refine=replace(config.refine, recover=recover, follow=rounds))
+    report = warpdef.reconstruct(clouds, config, device="cpu", template=template).report
+    assert report["refine"]["frames_followed"] == ([0, 2, 3] if rounds and not chain else [])
+
+
 def test_ctrl_c_keeps_the_best_state_so_far(clouds, template, device: str) -> None:
     def interrupt(progress: warpdef.Progress) -> None:
         if progress.iteration == 20:
