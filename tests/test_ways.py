@@ -17,6 +17,7 @@ from descent import chained
 import warpdef
 from warpdef.config import Config
 from warpdef.device import Way, find_device, going, team_size, usable_cores, way_of
+from warpdef.fit import workers
 
 ROOT = Path(__file__).resolve().parents[1]
 CPU, CUDA = find_device("cpu"), cast(wp.Device, SimpleNamespace(is_cpu=False))  # all that is asked of it
@@ -103,3 +104,22 @@ def test_both_ways_through_the_whole_pipeline_agree(chain: bool) -> None:
     assert apart.max() < 3 * max(r.max() for r in rounded)
     # Which is little: of what the frames move, a few millionths.
     assert max(r.mean() for r in rounded) < 1e-4 * np.abs(by_spans - by_spans[2]).mean()
+
+
+@pytest.mark.parametrize("chain", [False, True])
+def test_as_graphs_the_whole_pipeline_gives_the_same_bits(chain: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """CUDA's way with iterations and rounds captured and replayed, which Warp does on the CPU, too.
+
+    All that a graph launches it launches again as it was captured: from one iteration to the next nothing may change
+    but what the device holds.
+    """
+    moving = turning(np.random.default_rng(0))
+    plain, _ = fit(moving, Way.WHOLE, chain)
+    replays, replay = [], wp.capture_launch
+    monkeypatch.setattr(workers, "is_cuda", lambda device: True)
+    monkeypatch.setattr(wp, "capture_launch", lambda graph: replays.append(graph) or replay(graph))
+    captured, report = fit(moving, Way.WHOLE, chain)
+    np.testing.assert_array_equal(captured, plain)
+    # Warm-up, iterations, rounds; the first of each kind is launched plainly.
+    assert len({id(graph) for graph in replays}) == 3 and len(replays) == 30 - 2 + 6 - 1
+    assert not any("not captured" in warning for warning in report["warnings"])
