@@ -22,7 +22,7 @@ The vertex stage, which begins where the grids end:
 
     pairs                   vertices and cloud points paired, as all of its terms see them
     planes, borders         residuals to the clouds, and across the border of an open mesh
-    unseen                  what holds a vertex where a frame has no points
+    unseen, landmarks       what holds a vertex where a frame has no points; where it is known to be
     rigidity, block_cg      how edges turn with their vertices; the solve for all moves at once
 
 For a template without Poisson: ``tetrahedra`` (marching, on a deforming grid) and ``winding`` (inside a cloud or not).

@@ -276,6 +276,8 @@ class RefineConfig:
     """Local thickness over width of a cloud (16 neighbours) up to which it counts as clean."""
     noisy_thickness: float = 0.55
     """Local thickness over width at which a cloud's own normals are no longer used."""
+    landmark_weight: float = 10.0
+    """Weight of a landmark against one point-to-plane residual (see ``landmarks``)."""
     damping: float = 0.001
     """Weight that holds a vertex where it was at the start of a round."""
     reach: float = 3.0
@@ -296,7 +298,15 @@ class RefineConfig:
     def __post_init__(self) -> None:
         require(self.iterations >= 0, "refine.iterations", "0 or more", self.iterations)
         require(self.follow >= 0, "refine.follow", "0 or more", self.follow)
-        for key in ("rigidity", "rigidity_noisy", "damping", "reach", "shape_smoothness", "clean_thickness"):
+        for key in (
+            "rigidity",
+            "rigidity_noisy",
+            "landmark_weight",
+            "damping",
+            "reach",
+            "shape_smoothness",
+            "clean_thickness",
+        ):
             require(getattr(self, key) > 0, f"refine.{key}", "a number above 0", getattr(self, key))
         above = f"a number above refine.clean_thickness ({self.clean_thickness})"
         require(self.noisy_thickness > self.clean_thickness, "refine.noisy_thickness", above, self.noisy_thickness)
@@ -319,6 +329,8 @@ class Config:
     """Points a frame, drawn without replacement; 0: all."""
     columns: str = ""
     """Columns of tables without names, as ``x,y,z,nx,ny,nz,r,g,b``, ``_`` for one to pass over; empty: by values."""
+    landmarks: str = ""
+    """File of known correspondences, .csv or .json: vertex or place at the keyframe, frame, place; empty: none."""
     crop: str = ""
     """Only points inside this box are used, ``x0:x1,y0:y1,z0:z1`` in input units, any end left out; empty: all."""
     cut_static: bool = True
@@ -346,6 +358,8 @@ class Config:
         parse_box(self.crop)
         require(self.points == 0 or self.points >= 10, "points", "0 (all) or at least 10", self.points)
         require(self.colours in ("still", "moving", "off"), "colours", "still, moving or off", self.colours)
+        vertex_stage = not self.landmarks or self.refine.iterations > 0
+        require(vertex_stage, "landmarks", "refine.iterations above 0 with them", self.refine.iterations)
         require(0 < self.fill <= 1, "fill", "above 0, up to 1", self.fill)
         require(self.seed >= 0, "seed", "0 or more", self.seed)
         exact_on_pruned = self.sobolev.solver == "cosine" and self.grid.prune

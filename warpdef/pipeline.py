@@ -21,6 +21,7 @@ from warpdef.appearance import Appearance
 from warpdef.config import Config
 from warpdef.device import device_warnings, load_kernels, team_size, usable_cores
 from warpdef.errors import MissingPackageError
+from warpdef.fit.landmarks import PlacedLandmarks
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
@@ -95,6 +96,13 @@ def reconstruct(
     for warning in (*sequence.warnings, *chosen.warnings):
         tell(Progress("template", message=warning))
 
+    landmarks = None
+    if ready.landmarks is not None:
+        shape, mine = chosen.mesh, template is not None or bool(config.template.mesh)
+        landmarks = PlacedLandmarks(
+            ready.landmarks, shape.vertices, shape.faces, sequence, into, mine, keyframe=chosen.keyframe
+        )
+
     # Optimization: one descent for all steps, both directions, and the template.
     def fit(config: Config, told: list[str]) -> Reconstruction:
         tell(Progress("compile", message=told[-1] if told else ""))
@@ -108,14 +116,16 @@ def reconstruct(
                 ends = mesh.vertices, mesh.faces, keyframe
                 problem = Problem(clouds, normals, *ends, steady, target, given, view is not None)
                 optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
-                refinement = Refinement(optimiser.objective, team) if config.refine.iterations else None
+                refinement = (
+                    Refinement(optimiser.objective, team, landmarks=landmarks) if config.refine.iterations else None
+                )
                 stages = [stage for stage in (optimiser, refinement) if stage is not None]
                 load_kernels([kernel for stage in stages for kernel in stage.kernels()], target)
                 for stage in stages:
                     stage.prepare()
             with held_interrupts() as interruption:
                 resumed = [*saved.facts["resumed"], saved.iteration] if saved is not None else []
-                facts = lasting_facts(sequence, config, chosen, safeguards.notes, resumed)
+                facts = lasting_facts(sequence, config, chosen, safeguards.notes, resumed, ready.landmarks)
                 saver = Saver(safeguards.checkpoint, safeguards.checkpoint_seconds, facts, mesh, clock)
                 show = _with_meshes(tell, optimiser.objective, mesh.faces, into, sequence)
                 limits = Limits(interruption, clock, safeguards.seconds_max)
@@ -129,6 +139,8 @@ def reconstruct(
                 with clock.phase("refine"):
                     run.refine()
                 vertices = optimiser.objective.placed_vertices()
+                led = None if landmarks is None else landmarks.as_dict(vertices, into.scale)
+                run.warnings += [] if landmarks is None else landmarks.warnings(vertices)
                 vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces)
                 vertices = float32_where_exact(into.from_cube(vertices))
 
@@ -144,7 +156,7 @@ def reconstruct(
                     judged = _assess(result, sequence, threads or usable_cores())
                 result.report = _report(sequence, chosen, run, team.size, clock, estimate)
                 result.report["warnings"] += left + judged.pop("warnings")
-                result.report["colours"] = colored
+                result.report |= {"colours": colored, "landmarks": led}
                 ended = interruption.signal if run.stopped and interruption.asked else None
                 result.report |= {"interrupted": ended is not None, "signal": ended, "resumed": resumed, **judged}
                 result.report["input"] = {"path": safeguards.notes.get("input", ""), "digests": facts["digests"]}

@@ -19,6 +19,7 @@ from warpdef.config_values import parse_slice
 from warpdef.device import find_device
 from warpdef.errors import InputError
 from warpdef.files import read_clouds, read_mesh
+from warpdef.files.landmarks import Landmarks, read_landmarks
 from warpdef.fit.saving import Saved
 from warpdef.memory import MemoryEstimate, require_memory
 from warpdef.mesh import TriMesh
@@ -71,6 +72,7 @@ class Prepared:
     saved: Saved | None
     estimate: MemoryEstimate
     clock: Clock
+    landmarks: Landmarks | None = None
 
 
 def prepare(
@@ -99,6 +101,10 @@ def prepare(
     if template is None and saved is None and config.template.mesh:
         template = read_mesh(Path(config.template.mesh))
 
+    landmarks = read_landmarks(config.landmarks) if config.landmarks else None
+    if saved is not None:
+        saved.require_landmarks(landmarks)
+
     # Before anything costly is done with the points.
     sizes = [min(len(p), config.points or len(p)) for p in sequence.points]
     vertex_count = len(template.vertices) if template else saved.vertex_count if saved is not None else None
@@ -107,7 +113,7 @@ def prepare(
     sequence = clean(sequence, config)
     if saved is not None:
         saved.require_input(sequence)
-    return Prepared(sequence, template, config, target, saved, estimate, clock)
+    return Prepared(sequence, template, config, target, saved, estimate, clock, landmarks)
 
 
 def read_input(path: Path, config: Config, strict: bool = False) -> PointSequence:

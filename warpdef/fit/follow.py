@@ -82,6 +82,7 @@ class _Walk:
             cloud = SeenCloud.of(self.points[target], self.normals[target])
             poses[target] = bending.onto(cloud, poses[source])
             self.objective.vertices[target].assign(bending.place(poses[target]).astype(np.float32))
+            self._lead(target)
             self._settle(target, source)
             fitted.append(target)
         return fitted
@@ -99,6 +100,7 @@ class _Walk:
             if self.stopped():
                 break
             self.objective.chain.move_one(s, 0, p.vertex_count)
+            self._lead(target)
             self._settle(target, source)
             if config.recover and judged and self.search.lost(target):
                 self._bend(target, source)
@@ -108,6 +110,14 @@ class _Walk:
                 if p.measures.complete[inner] and self.search.lost(inner) and not self.search.lost(outer):
                     self._bend(inner, outer)
         return fitted
+
+    def _lead(self, frame: int) -> None:
+        """The start of a frame bent by its landmarks, where that leaves less."""
+        if self.refinement.landmarks is not None:
+            vertices = self.objective.vertices[frame]
+            led = self.refinement.landmarks.led(frame, vertices.numpy().astype(np.float64), self.points[frame])
+            if led is not None:
+                vertices.assign(led.astype(np.float32))
 
     def _settle(self, frame: int, neighbour: int) -> None:
         """Fit a frame from where its vertices are, and measure it."""

@@ -24,6 +24,7 @@ import numpy as np
 import warp as wp
 
 from warpdef.device import Way, frame_of, load_kernels
+from warpdef.fit.landmarks import LandmarkTerm, PlacedLandmarks
 from warpdef.fit.objective import Objective
 from warpdef.fit.pairing import Pairing, noise_of
 from warpdef.fit.recover import Cloud, recover
@@ -44,12 +45,15 @@ class Refinement:
 
     Args:
         objective: grids fitted; its ``vertices``, shape (T, V), are the start and the result.
-        team: CPU threads. capture: on CUDA, run a round as one graph.
+        team: CPU threads. capture: on CUDA, run a round as one graph. landmarks: known correspondences.
 
-    pairing, unseen, shape: the parts of a round. rotation: of every vertex from the shape, shape (T, V) mat33.
+    pairing, unseen, landmarks, shape: the parts of a round.
+    rotation: of every vertex from the shape, shape (T, V) mat33.
     """
 
-    def __init__(self, objective: Objective, team: Team, capture: bool = True) -> None:
+    def __init__(
+        self, objective: Objective, team: Team, capture: bool = True, landmarks: PlacedLandmarks | None = None
+    ) -> None:
         p = self.problem = objective.problem
         self.objective, c = objective, p.config.refine
         self.config, self.done = c, 0
@@ -61,6 +65,7 @@ class Refinement:
         self._rhs, self._move = (borrow(wp.vec3, shape) for _ in range(2))
         self.pairing = Pairing(objective, self.noise)
         self.unseen = Unseen(p, objective.vertices, self.rotation)
+        self.landmarks = None if landmarks is None else LandmarkTerm(landmarks, p, objective.vertices)
         self.shape = RestShape(p, objective.vertices, self.rotation)
         self._edges = p.integers(p.mesh.row), p.integers(p.mesh.column)
         self._solver = BlockSolver(p.mesh, p.frame_count, c.tolerance, c.iterations_max, device)
@@ -179,6 +184,8 @@ class Refinement:
         self.pairing.equations(first, last, *sums)
         if self.unseen:
             self.unseen.hold(first, last, self.pairing, *sums)
+        if self.landmarks is not None:
+            self.landmarks.hold(first, last, *sums)
         rigid_rhs(begin, count, self.rigidity, *self._edges, self.shape.places, self.rotation, o.vertices, self._rhs)
         self._solver.solve(first, last, self.rigidity, c.damping, self._matrix, self._rhs, self._move)
         add_scaled(begin, count, 1.0, self._move.flatten(), o.vertices.flatten())

@@ -15,6 +15,7 @@ from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.files.checkpoint import Checkpoint, digests, read_checkpoint, understood, write_checkpoint
 from warpdef.files.config_file import config_from_mapping
+from warpdef.files.landmarks import Landmarks
 from warpdef.files.plain import from_plain
 from warpdef.fit.sobolev import SolveReport
 from warpdef.mesh import TriMesh
@@ -28,6 +29,7 @@ _FACTS = {
     "config": dict[str, Any],
     "notes": dict[str, str],
     "digests": list[str],
+    "landmarks": str,
     "resumed": list[int],
     "template": dict[str, Any],
     "seconds": dict[str, float],
@@ -131,6 +133,18 @@ class Saved:
                 f"{len(other)} of {len(ours)} frames: {shown}; give it the same input, or start anew"
             )
 
+    def require_landmarks(self, landmarks: Landmarks | None) -> None:
+        """Check that they are those of the run that left this.
+
+        Raises:
+            InputError: they are others.
+        """
+        if self.facts["landmarks"] != ("" if landmarks is None else landmarks.digest()):
+            raise InputError(
+                f"{self.path}: expected the landmarks of the run to continue, got others in {self.config.landmarks}; "
+                "restore the file, or start anew"
+            )
+
     def template(self, given: TriMesh | None, frames: Sequence[int]) -> ChosenTemplate:
         """The template chosen by that run.
 
@@ -156,7 +170,12 @@ class Saved:
 
 
 def lasting_facts(
-    sequence: PointSequence, config: Config, chosen: ChosenTemplate, notes: Mapping[str, str], resumed: list[int]
+    sequence: PointSequence,
+    config: Config,
+    chosen: ChosenTemplate,
+    notes: Mapping[str, str],
+    resumed: list[int],
+    landmarks: Landmarks | None = None,
 ) -> dict[str, Any]:
     """What of a run does not change while it runs: what it computes, from what, and how it came to its template."""
     return {
@@ -164,6 +183,7 @@ def lasting_facts(
         "config": asdict(config),
         "notes": dict(notes),
         "digests": digests(sequence.all_frames(), sequence.all_normals()),
+        "landmarks": "" if landmarks is None else landmarks.digest(),
         "resumed": resumed,
         "template": {name: value for name, value in asdict(chosen).items() if name != "mesh"},
     }
