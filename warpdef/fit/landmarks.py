@@ -23,7 +23,7 @@ from warpdef.sequence import PointSequence, Similarity
 
 _FAR_AT, _FAR_PLACE = 0.05, 0.5  # of the sequence's extent, from the mesh and from the frame's box, that is a mistake
 _FLAT = 1e-3  # least extent of landmarks in every direction, over the largest, for an affine map
-_OFF = 0.03  # of the extent: a landmark that ends, or lies, farther away is told
+_OFF, _APART = 0.03, 0.1  # of the extent: a landmark that ends farther away, or lies so far from all points, is told
 _SAMPLE = 2000  # points by which two starts are compared
 
 
@@ -85,11 +85,11 @@ class PlacedLandmarks:
     def warnings(self, vertices: np.ndarray) -> list[str]:
         """Of those that end far from their places, and of places where their frame has no points."""
         told = []
-        for far, what in (
-            (self.errors(vertices), "end {} from their places ({}): they contradict the clouds, or each other"),
-            (self.apart, "lie {} from all points of their frames ({}): the mesh goes there all the same"),
+        for far, most, what in (
+            (self.errors(vertices), _OFF, "end {} from their places ({}): they contradict the clouds, or each other"),
+            (self.apart, _APART, "lie {} from all points of their frames ({}): the mesh goes there all the same"),
         ):
-            count = int((far > 2 * _OFF).sum())
+            count = int((far > 2 * most).sum())
             if count:
                 size = f"up to {far.max() / 2:.0%} of the sequence's size"
                 told.append(f"{count} of {len(far)} landmarks " + what.format(size, self.names[int(far.argmax())]))

@@ -124,6 +124,9 @@ class Saved:
             raise InputError(
                 f"{self.path}: the run to continue had {len(theirs)} frames, got {len(ours)}; give it the same input"
             )
+        with understood(self.path):
+            if not all(0 <= t < len(sequence) for t in (*self.facts["followed"], *self.facts["bent"])):
+                raise ValueError("frames that are not there")
         other = [t for t, (a, b) in enumerate(zip(theirs, ours, strict=True)) if a != b]
         if other:
             shown = ", ".join(f"{t} ({sequence.frame_names[t]})" for t in other[:3])
