@@ -23,15 +23,13 @@ from warpdef.apps.viewer.camera import (
 from warpdef.apps.viewer.captions import Captions, room_for, tile_letter_size
 from warpdef.apps.viewer.flat import TEXT_COLOR
 from warpdef.apps.viewer.scales import Scales
+from warpdef.apps.viewer.trails import add_trails
 
 if TYPE_CHECKING:
     import numpy as np
 
     from warpdef.apps.viewer.content import Content
     from warpdef.mesh import MeshSequence
-
-TRAJECTORIES = 150
-"""Vertices whose way is drawn."""
 
 
 class Scene:
@@ -268,32 +266,10 @@ class Scene:
         self.plotter.close()
 
     def _show_trails(self) -> None:
-        import numpy as np
-        import pyvista
-
-        from warpdef.apps.viewer.colouring import material_hues, spread_out_vertices
-
         for index, pane in enumerate(self.content.panes):
-            if (
-                self.look.trajectories
-                and self.trails[index] is None
-                and pane.moving is not None
-                and len(self.content) > 1
-            ):
-                vertices = pane.moving.vertices
-                at_keyframe = vertices[pane.keyframe]
-                chosen = spread_out_vertices(at_keyframe, TRAJECTORIES)
-                count, length = len(chosen), len(vertices)
-                points = vertices[:, chosen].transpose(1, 0, 2).reshape(-1, 3).astype("f4")
-                ways = np.column_stack([np.full(count, length), np.arange(count * length).reshape(count, length)])
-                lines = pyvista.PolyData(points, lines=ways.ravel())
-                colors = material_hues(at_keyframe) if pane.colors is None else pane.colors
-                colors = colors if colors.ndim == 2 else colors[pane.keyframe]
-                lines.point_data["rgb"] = np.repeat(colors[chosen], length, axis=0)
+            if self.look.trajectories and self.trails[index] is None:
                 self.plotter.subplot(0, index)
-                self.trails[index] = self.plotter.add_mesh(
-                    lines, scalars="rgb", rgb=True, line_width=2.0, lighting=False, reset_camera=False
-                )
+                self.trails[index] = add_trails(self.plotter, pane)
             if self.trails[index] is not None:
                 self.trails[index].visibility = self.look.trajectories
 
