@@ -290,6 +290,19 @@ def test_the_camera_is_kept_between_frames(out):
         made.close()
 
 
+def test_colors_of_every_frame_and_their_trails(out):
+    content = load_content(out)
+    pane = content.panes[0]
+    pane.colors = np.zeros((*VERTICES.shape[:2], 3), dtype=np.uint8)
+    pane.colors[pane.keyframe] = [255, 0, 0]
+    made = Scene(content, off_screen=True, size=(160, 120), look=Look(trajectories=True))
+    try:
+        trail = made.trails[0].mapper.dataset
+        np.testing.assert_array_equal(trail.point_data["rgb"], np.tile([255, 0, 0], (trail.n_points, 1)))
+    finally:
+        made.close()
+
+
 def test_vertices_may_change_while_it_is_shown(out):
     made = scene(out, color="displacement", trajectories=True)
     try:

@@ -28,5 +28,6 @@ def add_trails(plotter: Any, pane: Pane) -> Any:
     ways = np.column_stack([np.full(count, length), np.arange(count * length).reshape(count, length)])
     lines = pyvista.PolyData(points, lines=ways.ravel())
     colors = material_hues(at_keyframe) if pane.colors is None else pane.colors
+    colors = colors if colors.ndim == 2 else colors[pane.keyframe]
     lines.point_data["rgb"] = np.repeat(colors[chosen], length, axis=0)
     return plotter.add_mesh(lines, scalars="rgb", rgb=True, line_width=2.0, lighting=False, reset_camera=False)
