@@ -158,6 +158,7 @@ class CloudActor:
 
         assert pane.clouds is not None  # a pane without clouds gets none here
         self._clouds, self._colouring, self._scales = pane.clouds, pane.colouring, scales
+        self._colors = pane.cloud_colors
         self._frames: dict[int, Any] = {}
         self._spacing = point_spacing(pane.clouds[0])
         self.actor = plotter.add_mesh(
@@ -190,7 +191,13 @@ class CloudActor:
             mapper.scalar_range = self._scales.table("error").scalar_range
             mapper.SetScalarModeToUsePointFieldData()
             mapper.SelectColorArray("error")
-        mapper.scalar_visibility = measured
+        own = None if self._colors is None or surface is not None else self._colors[frame]
+        if own is not None:
+            data.point_data["rgb"] = own
+            mapper.SetScalarModeToUsePointFieldData()
+            mapper.SetColorModeToDirectScalars()
+            mapper.SelectColorArray("rgb")
+        mapper.scalar_visibility = measured or own is not None
         mapper.SetInputDataObject(data)
 
     def forget(self) -> None:

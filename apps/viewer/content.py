@@ -29,6 +29,7 @@ class Pane:
     title:     shown above it
     meshes:    the moving mesh; or one mesh a frame, of any triangles; or nothing
     clouds:    point clouds over it                               T arrays (N_t, 3)
+    cloud_colors: of a pane of clouds alone, where they have any  T arrays (N_t, 3) uint8 or None
     colors:    of the vertices, where there are any of their own  (V, 3) uint8, or (T, V, 3) of every frame
     colouring: the measures that the mesh can be coloured by
     keyframe:  frame that the mesh was built on
@@ -44,6 +45,7 @@ class Pane:
     keyframe: int = 0
     against: str = ""
     rest: np.ndarray | None = None
+    cloud_colors: Sequence[np.ndarray | None] | None = None
 
     def surface(self, frame: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Vertices (V, 3) and faces (F, 3) of a frame."""
@@ -157,8 +159,10 @@ def load_content(
     chosen = select_frames(range(len(run.meshes)), frames, 1, run.path)
     origin = choose_origin(run.meshes.vertices)
     points = true_meshes = None
+    shades: list[np.ndarray | None] = []
     if clouds is not None:
-        read = read_clouds(clouds, parse_slice(run.config.frames)).all_frames()
+        sequence = read_clouds(clouds, parse_slice(run.config.frames))
+        read, shades = sequence.all_frames(), sequence.all_colors()
         _same_count(len(read), run, clouds, "choose the clouds that it was made from with --input")
         points = [read[t] - origin for t in chosen]
     if truth is not None:
@@ -180,7 +184,8 @@ def load_content(
         if true_meshes is not None:
             panes.append(_truth_pane(true_meshes, panes[0]))
         if points is not None:
-            panes.insert(0, Pane("input", clouds=points))
+            own = [shades[t] for t in chosen] if any(c is not None for c in shades) else None
+            panes.insert(0, Pane("input", clouds=points, cloud_colors=own))
     names = tuple(run.names[t] for t in chosen)
     return Content(panes, names, up, unit, origin, judged_frames(run.report, chosen, len(run.meshes)))
 
