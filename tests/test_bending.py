@@ -88,6 +88,16 @@ def test_nothing_in_reach_is_no_reason_to_move():
     np.testing.assert_array_equal(bending.onto(away, bending.still()).shift, 0.0)
 
 
+def test_the_pose_of_a_turned_mesh_is_its_turn():
+    rest, faces = body((0.0, 0.0))
+    bending, turn = bending_of(rest, faces), synthetic.turn_about([1.0, 2.0, -0.5], 2.0)
+    pose = bending.pose_of(rest @ turn.T + [0.3, -0.2, 0.1])
+    np.testing.assert_allclose(pose.rotation, np.broadcast_to(turn, pose.rotation.shape), atol=1e-9)
+    np.testing.assert_allclose(bending.place(pose), rest @ turn.T + [0.3, -0.2, 0.1], atol=1e-9)
+    mirrored = bending.pose_of(rest * [1.0, 1.0, -1.0])
+    np.testing.assert_allclose(np.linalg.det(mirrored.rotation), 1.0)
+
+
 def test_weights_of_a_step_count_matches():
     rest, faces = synthetic.icosphere(2)
     graph = bending_of(rest, faces).graph

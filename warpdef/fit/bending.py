@@ -68,6 +68,16 @@ class Bending:
         """The pose of the mesh at rest."""
         return Pose.identity(len(self.graph.node))
 
+    def pose_of(self, vertices: np.ndarray) -> Pose:
+        """The pose in which the nodes are where they are among vertices (V, 3), turned as their links are."""
+        rest, there, (a, b) = self.rest[self.graph.node], vertices[self.graph.node], self.graph.link.T
+        turn = np.zeros((len(rest), 3, 3))
+        np.add.at(turn, a, (there[b] - there[a])[:, :, None] * (rest[b] - rest[a])[:, None, :])
+        left, _, right = np.linalg.svd(turn)
+        # No reflections: the axis that says least is turned over.
+        left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+        return Pose(left @ right, there - rest)
+
     def place(self, pose: Pose) -> np.ndarray:
         """All vertices in a pose, (V, 3)."""
         return self.graph.place(self.rest, pose)

@@ -3,8 +3,10 @@
 A chain of grids adds up the errors of its transitions, and a descent through all of them folds what a frame does not
 show. But each transition's own grid is good: it takes cloud to cloud without the mesh. So each frame starts from its
 inner neighbour, already fitted, moved by the one transition between them, and is fitted by a few rounds of the vertex
-stage before the next. Where that leaves points uncovered, the neighbour's mesh is bent by matches (``recover``), too,
-and what fits better is kept; what stays lost is tried once more from the frame behind it.
+stage before the next. Where that leaves points uncovered, the neighbour's mesh is bent by the matches of one connected
+part (``recover``); where it still does, or the mesh is stretched to cover them, the template is bent from the
+neighbour's pose, coarse to fine (``bending``). What fits better is kept; what stays lost is tried once more from the
+frame behind it.
 
 What one camera saw is followed without the grids: the template itself is bent onto one frame after the other
 (``bending``), each from the pose of its inner neighbour, before the vertex stage fits it.
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 
 import numpy as np
 
@@ -24,6 +27,11 @@ from warpdef.fit.refine import Refinement
 from warpdef.geometry.cloud_normals import turned_to
 from warpdef.geometry.triangles import vertex_normals
 from warpdef.kernels.ways import Way
+
+STRETCHED = 1.5
+"""Ratio of an edge's length to the template's, either way, from which it is stretched."""
+STRETCHED_MAX = 0.02
+"""Share of such edges from which a frame went wrong, even if all points are covered."""
 
 
 def follow(
@@ -44,7 +52,8 @@ def follow(
     ends = objective.problem.transitions
     refinement.shape.take()
     with ThreadPoolExecutor(2 if threads > 1 and objective.problem.way is Way.SPANS else 1) as pool:
-        way = walk.bent_outwards if walk.bending else walk.outwards
+        seen = objective.problem.seen and not objective.problem.config.optimiser.chain
+        way = walk.bent_outwards if seen else walk.outwards
         sides = list(pool.map(way, (ends.forward, ends.backward)))
     objective.problem.normals.assign(walk.given)
     return sorted(t for side in sides for t in side), sorted(walk.bent)
@@ -65,14 +74,16 @@ class _Walk:
         surface = ConnectedSurface.of(p.faces, p.edges.numpy())
         self.search = Search(objective.vertices.numpy().astype(np.float64), clouds, surface, p.transitions.keyframe)
         self.bent: set[int] = set()
-        self.bending: Bending | None = None
-        if p.seen and not p.config.optimiser.chain:
-            self.bending = Bending(p.template.astype(np.float64), p.faces, p.edges.numpy())
+        self._clouds, self._edges, self._lengths = clouds, surface.edges, _lengths(p.template, surface.edges)
+
+    @cached_property
+    def bending(self) -> Bending:
+        """The template and its graph."""
+        return Bending(self.problem.template.astype(np.float64), self.problem.faces, self._edges)
 
     def bent_outwards(self, transitions: range) -> list[int]:
         """Frames of one side, of what one camera saw, in order."""
         bending, ends = self.bending, self.problem.transitions
-        assert bending is not None
         poses = {ends.keyframe: bending.still()}
         fitted: list[int] = []
         for s in transitions:
@@ -102,13 +113,13 @@ class _Walk:
             self.objective.chain.move_one(s, 0, p.vertex_count)
             self._lead(target)
             self._settle(target, source)
-            if config.recover and judged and self.search.lost(target):
-                self._bend(target, source)
+            if config.recover and judged:
+                self._try_again(target, source)
             fitted.append(target)
         if config.recover and not p.config.optimiser.chain:
             for inner, outer in zip(fitted[-2::-1], fitted[:0:-1], strict=True):
-                if p.measures.complete[inner] and self.search.lost(inner) and not self.search.lost(outer):
-                    self._bend(inner, outer)
+                if p.measures.complete[inner] and not self._wrong(outer):
+                    self._try_again(inner, outer)
         return fitted
 
     def _lead(self, frame: int) -> None:
@@ -118,6 +129,38 @@ class _Walk:
             led = self.refinement.landmarks.led(frame, vertices.numpy().astype(np.float64), self.points[frame])
             if led is not None:
                 vertices.assign(led.astype(np.float32))
+
+    def _wrong(self, frame: int) -> bool:
+        """Whether points stay uncovered, or the mesh is stretched to cover them."""
+        return self.search.lost(frame) or self._stretched(frame) > STRETCHED_MAX
+
+    def _stretched(self, frame: int) -> float:
+        """Share of edges that are half as long again as the template's, or shorter by as much."""
+        ratio = np.log(_lengths(self.search.vertices[frame], self._edges) / self._lengths)
+        return float(np.mean(np.abs(ratio) > np.log(STRETCHED)))
+
+    def _try_again(self, frame: int, neighbour: int) -> None:
+        """Other ways to a frame from its neighbour, where the one taken went wrong."""
+        if self.search.lost(frame):
+            self._bend(frame, neighbour)
+        if self._wrong(frame) and not self.problem.config.optimiser.chain:
+            self._turn(frame, neighbour)
+
+    def _turn(self, frame: int, neighbour: int) -> None:
+        """The template bent onto a frame from its neighbour's pose, and settled; kept if it fits better."""
+        vertices = self.objective.vertices[frame]
+        before = vertices.numpy().copy()  # a view on the CPU
+        score = self.search.uncovered(frame) + self._stretched(frame)
+        cloud = self._clouds[frame] if self._clouds[frame].oriented else self._clouds[frame].turned_outwards()
+        start = self.bending.pose_of(self.search.vertices[neighbour])
+        pose = self.bending.onto(SeenCloud.of(cloud.points, cloud.normals), start)
+        vertices.assign(self.bending.place(pose).astype(np.float32))
+        self._settle(frame, neighbour)
+        if self.search.uncovered(frame) + self._stretched(frame) < score:
+            self.bent.add(frame)
+        else:
+            vertices.assign(before)
+            self.search.place(frame, before.astype(np.float64))
 
     def _settle(self, frame: int, neighbour: int) -> None:
         """Fit a frame from where its vertices are, and measure it."""
@@ -149,3 +192,8 @@ class _Walk:
         facing = vertex_normals(vertices.astype(np.float64), p.faces)[cKDTree(vertices).query(self.points[frame])[1]]
         begin, end = (int(place) for place in p.cloud_offsets[frame : frame + 2])
         p.normals[begin:end].assign(turned_to(self.normals[frame], facing).astype(np.float32))
+
+
+def _lengths(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Of edges (E, 2) between vertices (V, 3), none 0; shape (E,)."""
+    return np.maximum(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1), 1e-30)
