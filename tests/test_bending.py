@@ -192,3 +192,22 @@ def test_what_one_camera_does_not_see_is_held_where_the_bending_left_it():
     rest, placed = problem.template, optimiser.objective.vertices.numpy()
     hidden = vertex_normals(turning.vertices[1], turning.faces)[np.argsort(problem.place)] @ EYE < -0.5
     assert np.linalg.norm(placed[1] - rest, axis=1)[hidden].max() < 0.01
+
+
+def test_a_frame_that_matches_do_not_find_is_bent_from_its_neighbours_pose(monkeypatch):
+    """All of the body is seen, the grids know nothing, and the search for lost limbs finds none."""
+    poses = [body((0.0, 0.0))[0], body((45.0 * DEGREE, 0.0))[0]]
+    faces = body((0.0, 0.0))[1]
+    clouds, normals = zip(
+        *(synthetic.sample_surface(v, faces, 3000, np.random.default_rng(0)) for v in poses), strict=True
+    )
+    monkeypatch.setattr("warpdef.fit.recover.Search.learn", lambda *_: False)
+    config = replace(Config(), grid=replace(Config().grid, levels=3))
+    problem = Problem(list(clouds), list(normals), poses[0], faces, 0, config, find_device("cpu"))
+    with closing(Team(1)) as team:
+        optimiser = Optimiser(problem, 1, team)
+        optimiser.finish()
+        assert follow(optimiser.objective, Refinement(optimiser.objective, team)) == ([1], [1])
+    placed = optimiser.objective.placed_vertices()[1]
+    assert np.quantile(closest_on_surface(clouds[1], poses[0], faces)[0], 0.95) > 0.1
+    assert np.quantile(closest_on_surface(clouds[1], placed, faces)[0], 0.95) < 0.02
