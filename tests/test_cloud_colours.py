@@ -6,11 +6,13 @@ import struct
 
 import numpy as np
 import pytest
+import synthetic
 
 from warpdef.cleaning.crop import crop
 from warpdef.errors import InputError
 from warpdef.files import read_clouds
 from warpdef.files.cloud_files import write_clouds_npz
+from warpdef.files.formats import read_surface
 from warpdef.sequence import PointSequence
 
 COUNT = 60
@@ -114,6 +116,18 @@ def test_layouts_of_an_npz(tmp_path, arrays, passed):
     sequence = read_clouds(tmp_path / "a.npz")
     np.testing.assert_array_equal(np.stack(sequence.colors), COLORS)
     assert ("labels" in " ".join(sequence.warnings)) == bool(passed)
+
+
+def test_colours_of_vertices_in_a_scene(tmp_path):
+    """Of a mesh in .glb, each at its place, though vertices at one place are merged; a cloud's in the same way."""
+    trimesh = pytest.importorskip("trimesh")
+    vertices, faces = synthetic.icosphere(1)
+    colors = np.rint(127.5 * (1 + vertices)).astype(np.uint8)
+    trimesh.Trimesh(vertices, faces, vertex_colors=colors, process=False).export(tmp_path / "0.glb")
+    trimesh.Scene([trimesh.PointCloud(vertices, colors=colors)]).export(tmp_path / "1.glb")
+    for t in range(2):
+        surface = read_surface(tmp_path / f"{t}.glb", (".glb",))
+        np.testing.assert_allclose(surface.colors, np.rint(127.5 * (1 + surface.points)), atol=1)
 
 
 def test_colours_of_another_length_are_refused(tmp_path):

@@ -1,7 +1,7 @@
 """Meshes of other programs through trimesh: .stl .glb .gltf .3mf .dae, their parts put together, in the scene's place.
 
 These formats keep no shared vertices, or split them where an image has a seam: vertices at one place are merged, so
-that the surface hangs together. Only the shape is taken; colours and images are passed over. 3MF and Collada need the
+that the surface hangs together. Shape and colours of vertices are taken, images passed over. 3MF and Collada need the
 extra ``warpdef[meshes]``.
 """
 
@@ -51,23 +51,37 @@ def read_scene(path: Path) -> Surface:
         faces = np.concatenate([np.asarray(mesh.faces) + start for mesh, start in zip(meshes, counts, strict=False)])
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise InputError(f"{path}: a face names a vertex that is not there; the file is damaged")
-        return Surface(*_merged(vertices, faces.astype(np.int64)))
-    clouds = [np.asarray(part.vertices, dtype=np.float64).reshape(-1, 3) for part in parts if hasattr(part, "vertices")]
-    clouds = [cloud for cloud in clouds if len(cloud)]
+        merged, kept, faces = _merged(vertices, faces.astype(np.int64))
+        colors = _colors(meshes)
+        return Surface(merged, None, faces, None if colors is None else colors[kept])
+    parts = [part for part in parts if len(getattr(part, "vertices", ()))]
+    clouds = [np.asarray(part.vertices, dtype=np.float64).reshape(-1, 3) for part in parts]
     if not clouds:
         raise InputError(f"{path}: expected a mesh or points, got neither; export the surface")
-    return Surface(np.concatenate(clouds))
+    return Surface(np.concatenate(clouds), colors=_colors(parts))
 
 
-def _merged(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, None, np.ndarray]:
-    """Vertices at one place made one, in the order of their first; faces that vanish by it left out."""
+def _kind(part: Any) -> str:
+    return str(getattr(getattr(part, "visual", None), "kind", None) or "")
+
+
+def _colors(parts: list[Any]) -> np.ndarray | None:
+    """Colours of the vertices of all parts, (N, 3) uint8, where all of them have some."""
+    found = [part.visual.vertex_colors if _kind(part) == "vertex" else getattr(part, "colors", None) for part in parts]
+    if not all(c is not None and np.shape(c) == (len(part.vertices), 4) for c, part in zip(found, parts, strict=True)):
+        return None
+    return np.concatenate([np.asarray(c, dtype=np.uint8)[:, :3] for c in found])
+
+
+def _merged(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices at one place made one, which of them were kept, in their order, and faces without those that vanish."""
     _, first, index = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
     faces = place[index.reshape(-1)][faces]
     whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return vertices[first[order]], None, faces[whole]
+    return vertices[first[order]], first[order], faces[whole]
 
 
 def _check_size(data: bytes, path: Path) -> None:
