@@ -176,7 +176,7 @@ def test_equations_against_numpy(device: str, rng: np.random.Generator):
     out = put(matrix, wp.mat33, device), put(rhs, wp.vec3, device)
     for begin, count in ((0, 1), (1, 2)):
         where = put(places, wp.vec3, device), put(vertices, wp.vec3, device)
-        draw_to_landmarks(begin, count, 2.5, *arrays, share, *table, *where, *out)
+        draw_to_landmarks(begin, count, 2.5, *(*arrays, share, *table, *where, *out))
     for i, k, b in entries:
         matrix[i] += 2.5 * b * np.eye(3)
         rhs[i] += 2.5 * b * (places[k] - parts[k] @ vertices[corners[k]])

@@ -8,6 +8,7 @@ from mutation_samples import CLOUDS, NORMALS
 from present import present
 from synthetic import icosphere, turn_about
 
+from warpdef.cloud import FramePoints
 from warpdef.config import KeyframeConfig
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.files import read_clouds
@@ -89,7 +90,9 @@ def test_a_missing_package_is_no_gap():
         raise MissingPackageError("install it")
 
     with pytest.raises(MissingPackageError):
-        PointSequence.from_frames([("a", read), *((str(t), lambda p=p: (p, None)) for t, p in enumerate(CLOUDS))])
+        PointSequence.from_frames(
+            [("a", read), *((str(t), lambda p=p: FramePoints(p, None)) for t, p in enumerate(CLOUDS))]
+        )
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e31])

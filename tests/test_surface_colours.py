@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 import synthetic
 from glb_reader import Glb
+from present import present
 
 import warpdef
 from warpdef.appearance import Appearance
@@ -44,10 +46,11 @@ def turning(frames: int = 5, points: int = 3000) -> tuple[np.ndarray, list, list
 def test_colours_stay_with_the_material_whatever_one_frame_says():
     vertices, clouds, normals, colors = turning()
     colors[2][:] = 255
-    found = surface_colors(vertices, FACES, clouds, normals, colors, moving=True)
+    found = present(surface_colors(vertices, FACES, clouds, normals, colors, moving=True))
     off = np.abs(found.still.astype(int) - EARTH)
     assert off.max() <= 10 and off.mean() < 2 and found.unseen == 0.0
-    assert (found.moving[2] == 255).all() and np.abs(found.moving[3].astype(int) - EARTH).max() <= 12
+    moving = present(found.moving)
+    assert (moving[2] == 255).all() and np.abs(moving[3].astype(int) - EARTH).max() <= 12
 
 
 @pytest.mark.parametrize("given", [True, False])
@@ -57,7 +60,7 @@ def test_the_two_sides_of_a_thin_sheet_do_not_mix(given):
     cloud, normals, *_ = (a for a in synthetic.sample_surface(vertices, faces, 6000, np.random.default_rng(0)))
     colors = np.where(cloud[:, 2:] > 0, [200, 0, 0], [0, 0, 200]).astype(np.uint8)
     seen = [normals if given else None]
-    found = surface_colors(vertices[None], faces, [cloud], seen, [colors]).still
+    found = present(surface_colors(vertices[None], faces, [cloud], seen, [colors])).still
     inner = np.linalg.norm(vertices[:, :2], axis=1) < 0.9
     top = vertices[:, 2] > 0
     red = found[:, 0].astype(int) - found[:, 2]
@@ -69,7 +72,7 @@ def test_what_no_frame_shows_has_the_colour_of_its_neighbours_and_is_counted():
     shown = [c[:, 2] > 0 for c in clouds]
     clouds = [c[s] for c, s in zip(clouds, shown, strict=True)]
     green = [np.tile(np.array([10, 200, 30], dtype=np.uint8), (len(c), 1)) for c in clouds]
-    found = surface_colors(vertices, FACES, clouds, [None, None], green)
+    found = present(surface_colors(vertices, FACES, clouds, [None, None], green))
     assert (found.still == [10, 200, 30]).all() and 0.3 < found.unseen < 0.5
     assert surface_colors(vertices, FACES, [c + 9 for c in clouds], [None, None], green) is None
 
@@ -79,11 +82,11 @@ def test_between_frames_that_show_a_vertex_its_colour_is_linear():
     shades = [np.full_like(c, 30 * (t + 1)) for t, c in enumerate(colors)]
     clouds[1], shades[1] = np.zeros((0, 3)), None
     clouds[3], shades[3] = np.zeros((0, 3)), None
-    moving = surface_colors(vertices, FACES, clouds, [None] * 4, shades, moving=True).moving
+    moving = present(present(surface_colors(vertices, FACES, clouds, [None] * 4, shades, moving=True)).moving)
     assert [int(frame.min()) for frame in moving] == [30, 60, 90, 90] == [int(frame.max()) for frame in moving]
 
 
-def quick(colours: str) -> Config:
+def quick(colours: Literal["still", "moving", "off"]) -> Config:
     base = Config(colours=colours)
     return replace(
         base,
@@ -154,7 +157,7 @@ def test_every_format_shows_each_frame_in_its_colours(run, tmp_path):
     pyvista = pytest.importorskip("pyvista")
     export(animation, tmp_path / "a.pvd")
     np.testing.assert_array_equal(pyvista.read(tmp_path / "a_vtp" / "0002.vtp").point_data["colors"], frames[2])
-    half = load_animation(path, slow=2.0).frame_colors
+    half = present(load_animation(path, slow=2.0).frame_colors)
     np.testing.assert_array_equal(half[1], np.rint((frames[0].astype(float) + frames[1]) / 2))
 
 
