@@ -81,7 +81,8 @@ def write_sequence(kind: str, folder: Path, frames: int, count: int) -> Path:
         return folder / "a.npz"
     if kind == "npz of unequal frames":
         arrays = {f"points_{t:04d}": points[t:] for t in range(frames)}
-        np.savez(folder / "a.npz", **arrays, **{f"colors_{t:04d}": colors[t:] for t in range(frames)})
+        arrays |= {f"colors_{t:04d}": colors[t:] for t in range(frames)}
+        np.savez(folder / "a.npz", **arrays)
         return folder / "a.npz"
     suffix = kind.split()[0]
     write_frame(kind, folder / f"0000.{suffix}", points, colors)

@@ -19,6 +19,7 @@ The vertex stage, which ends the fit:
 
     refine                      rounds of Gauss-Newton on every vertex of every frame, by
     pairing, unseen             pairs of points and mesh and their planes; what holds a vertex without points
+    landmarks                   known places of the mesh, which lead a frame's start, too
     rest_shape                  one shape that all frames share
 
 And around all of it ``run`` (what goes on when; stops, undone iterations) and ``saving`` (checkpoints in time).
