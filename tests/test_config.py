@@ -87,6 +87,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "refine.clean_thickness": ([0, -1], [0.1, 0.5]),
     "refine.noisy_thickness": ([0.3, 0.1], [0.31, 2]),
     "refine.landmark_weight": POSITIVE,
+    "refine.time": FROM_ZERO,
     "refine.damping": POSITIVE,
     "refine.reach": POSITIVE,
     "refine.agreement": ([-1.1, 1], [-1, 0, 0.9]),

@@ -270,7 +270,7 @@ class RefineConfig:
     """Rounds for a frame alone, on the way outwards from the keyframe, before the next starts from it."""
     rigidity: float = 0.1
     """Weight of local rigidity against one point-to-plane residual a vertex, for clean clouds."""
-    rigidity_noisy: float = 10.0
+    rigidity_noisy: float = 2.0
     """The same for clouds whose local thickness is ``noisy_thickness``; between and beyond, by the logarithm."""
     clean_thickness: float = 0.3
     """Local thickness over width of a cloud (16 neighbours) up to which it counts as clean."""
@@ -278,6 +278,8 @@ class RefineConfig:
     """Local thickness over width at which a cloud's own normals are no longer used."""
     landmark_weight: float = 10.0
     """Weight of a landmark against one point-to-plane residual (see ``landmarks``)."""
+    time: float = 4.0
+    """Weight of a vertex's smooth place in time, in the patch of surface around it; 0 for scans in no order."""
     damping: float = 0.001
     """Weight that holds a vertex where it was at the start of a round."""
     reach: float = 3.0
@@ -298,6 +300,7 @@ class RefineConfig:
     def __post_init__(self) -> None:
         require(self.iterations >= 0, "refine.iterations", "0 or more", self.iterations)
         require(self.follow >= 0, "refine.follow", "0 or more", self.follow)
+        require(self.time >= 0, "refine.time", "a number from 0", self.time)
         for key in (
             "rigidity",
             "rigidity_noisy",

@@ -96,8 +96,8 @@ def pooled_bytes(points: Sequence[int], vertices: int, config: Config) -> dict[s
         "shape": 6 * VECTOR * vertices,
         # Positions and what is carried back; rotation, Jacobian and six-vector of every move.
         "chain": vertices * (VECTOR * (2 * frames + 1) + (VECTOR + MATRIX + NODE) * transitions),
-        # The sums of the terms' gradients; right-hand side and solution of the vertex stage.
-        "lent": 2 * VECTOR * vertices * frames,
+        # The sums of the terms' gradients; of the vertex stage right-hand side, solution, and two places of a vertex.
+        "lent": (4 if config.refine.iterations else 2) * VECTOR * vertices * frames,
         # Rotations, places, gradient.
         "input term": 3 * VECTOR * moved + 8 * transitions,
         "transform term": 8 * frames,

@@ -29,6 +29,7 @@ from warpdef.fit.objective import Objective
 from warpdef.fit.pairing import Pairing, noise_of
 from warpdef.fit.recover import Cloud, recover
 from warpdef.fit.rest_shape import RestShape
+from warpdef.fit.smoothness import Smoothness
 from warpdef.fit.sobolev import SolveReport, note_solve
 from warpdef.fit.unseen import Unseen
 from warpdef.fit.workers import Iteration, Phase, Team
@@ -37,6 +38,8 @@ from warpdef.kernels.launching import listing
 from warpdef.kernels.rigidity import fit_rotations, rigid_rhs
 from warpdef.kernels.vectors import add_scaled
 
+_FREE = 0.6  # share of the rounds before places are smoothed in time: what has not arrived yet is not to be held
+_FREE_LESS = 0.4  # less at noise 1, where patches settle before vertices do
 _SETTLED = 8  # rounds after which a frame shows whether it lost a limb
 
 
@@ -62,30 +65,36 @@ class Refinement:
         self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
         self.rotation, self._matrix = (wp.zeros(shape, dtype=wp.mat33, device=device) for _ in range(2))
         borrow = p.pool.borrower()
-        self._rhs, self._move = (borrow(wp.vec3, shape) for _ in range(2))
+        self._rhs, self._move, *scratch = (borrow(wp.vec3, shape) for _ in range(4))
         self.pairing = Pairing(objective, self.noise)
         self.unseen = Unseen(p, objective.vertices, self.rotation)
         self.landmarks = None if landmarks is None else LandmarkTerm(landmarks, p, objective.vertices)
-        self.shape = RestShape(p, objective.vertices, self.rotation)
+        self.shape = RestShape(p, objective.vertices, self.rotation, self.noise)
+        self.smoothness = Smoothness(
+            p, (self.shape.places, objective.vertices, self.rotation), self.noise, tuple(scratch)
+        )
         self._edges = p.integers(p.mesh.row), p.integers(p.mesh.column)
         self._solver = BlockSolver(p.mesh, p.frame_count, c.tolerance, c.iterations_max, device)
         self.solves = SolveReport("block cg")
         # By frame: 1 fitted again, 2 lost all the same. Part of the state, hence on the device.
         self._fate = p.integers(np.zeros(p.frame_count))
         self._round = Iteration(self._phases(), device, team, capture)
+        self._smooth_round = Iteration(self._phases(smooth=True), device, team, capture) if self.smoothness else None
 
     def kernels(self) -> list[wp.Kernel]:
         """All that rounds, and frames settled alone, launch."""
         with listing() as alone:
             self.shape.take()
             self.objective.chain.move_one(0, 0, self.problem.vertex_count)
-        return [*alone, *self._round.kernels()]
+        return [*alone, *(self._smooth_round or self._round).kernels()]
 
     def prepare(self) -> None:
         """Compile every kernel; on the CPU, record all commands."""
         load_kernels(self.kernels(), self.problem.device)
         if self.problem.way is Way.SPANS:
             self._round.prepare()
+            if self._smooth_round is not None:
+                self._smooth_round.prepare()
 
     def start(self) -> None:
         """Take the vertices as they are: the shape is the keyframe's, normals of doubtful side get the mesh's side."""
@@ -98,7 +107,9 @@ class Refinement:
         chain, settled = self.problem.config.optimiser.chain, min(_SETTLED, self.config.iterations // 2)
         if self.config.recover and chain and self.done == settled:
             self._recover()
-        self._round.run()
+        free = (_FREE - _FREE_LESS * min(self.noise, 1.0)) * self.config.iterations
+        late = self._smooth_round if self.done >= round(free) else None
+        (late or self._round).run()
         self.done += 1
 
     def _recover(self) -> None:
@@ -191,17 +202,29 @@ class Refinement:
         add_scaled(begin, count, 1.0, self._move.flatten(), o.vertices.flatten())
         self._fit_rotations(first, last)
 
+    def _smooth_frames(self, first: int, last: int) -> None:
+        """Solve for the moves to places that are smooth in time, by the matrix of the pairs just met, and turn."""
+        c, mesh = self.config, self.problem.vertex_count
+        self.smoothness.hold(first, last, self._matrix, self._rhs)
+        self._solver.solve(first, last, self.rigidity, c.damping, self._matrix, self._rhs, self._move)
+        moved, vertices = self._move.flatten(), self.objective.vertices.flatten()
+        add_scaled(first * mesh, (last - first) * mesh, 1.0, moved, vertices)
+        self._fit_rotations(first, last)
+
     def _fit_rotations(self, first: int, last: int) -> None:
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
         fit_rotations(begin, count, *self._edges, self.shape.places, self.objective.vertices, self.rotation)
 
-    def _phases(self) -> list[Phase]:
+    def _phases(self, smooth: bool = False) -> list[Phase]:
         frames, runs = self.problem.frame_spans(), self.problem.vertex_spans()
         phases: list[tuple[str, list[Callable[[], None]]]] = [
             ("frames", [partial(self._fit_frames, a, b) for a, b in frames]),
             ("edges", [partial(self.shape.ask, a, b) for a, b in runs]),
             ("shape", [self.shape.solve]),
         ]
+        if smooth:
+            places = [partial(self.smoothness.place, a, b) for a, b in frames]
+            phases[1:1] = [("places", places), ("smooth", [partial(self._smooth_frames, a, b) for a, b in frames])]
         if self.unseen and self.unseen.by_time:
             phases.insert(0, ("expect", [partial(self.unseen.expect, a, b) for a, b in frames]))
         return [Phase(name, tasks) for name, tasks in phases]

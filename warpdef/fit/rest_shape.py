@@ -11,11 +11,13 @@ from warpdef.device import frame_of
 from warpdef.fit.problem import Problem
 from warpdef.fit.sobolev import SolveReport, note_solve
 from warpdef.kernels.cg import ConjugateGradients
+from warpdef.kernels.fairing import towards_mean
 from warpdef.kernels.rigidity import rest_rhs
 from warpdef.kernels.vectors import add_scaled, blend, copy_vectors
 
 _TOLERANCE = 1e-4
 _ITERATIONS = 200
+_FAIRINGS = 4  # double steps of fairing a round at noise 1: what is as fine as the edges is noise
 
 
 class RestShape:
@@ -23,11 +25,12 @@ class RestShape:
 
     Args:
         vertices: of all frames, shape (T, V) vec3. rotation: theirs, from the shape, (T, V) mat33.
+        noise: see ``pairing.noise_of``.
 
     places: y, shape (V,) vec3. start: of its next solve, the last solution.
     """
 
-    def __init__(self, problem: Problem, vertices: wp.array, rotation: wp.array) -> None:
+    def __init__(self, problem: Problem, vertices: wp.array, rotation: wp.array, noise: float) -> None:
         p, self._config = problem, problem.config.refine
         self._vertices, self._rotation = vertices, rotation
         self._keyframe = frame_of(vertices, p.transitions.keyframe)
@@ -39,6 +42,8 @@ class RestShape:
         stiff = replace(p.mesh, weight=np.array([self._config.shape_smoothness], dtype=np.float32))
         self._solver = ConjugateGradients(stiff, wp.vec3, _TOLERANCE, _ITERATIONS, p.device)
         self.start = self._solver.start
+        border = np.full((p.vertex_count, 1), -1) if p.border is None else p.border
+        self._still, self._fairings = p.integers(np.any(border >= 0, axis=1)), round(_FAIRINGS * noise)
 
     def take(self) -> None:
         """The keyframe's vertices are the shape."""
@@ -62,3 +67,6 @@ class RestShape:
         add_scaled(0, count, c.shape_smoothness, self._rhs, self._right_side)
         self._solver.solve(self._right_side, self._rhs, 0, 1)
         blend(c.shape_step, self._rhs, self.places)
+        for _ in range(self._fairings):
+            towards_mean(0, count, 0.5, *self._edges, self._still, self.places, self._rhs)
+            towards_mean(0, count, -0.53, *self._edges, self._still, self._rhs, self.places)
