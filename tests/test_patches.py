@@ -21,7 +21,7 @@ from warpdef.kernels.patches import fit_patches, local_places, smooth_rhs
 FRAMES, VERTICES, PATCHES, PER_VERTEX = 5, 42, 4, 3
 
 
-class Scene:
+class PatchScene:
     """A small sphere in five poses, bent in each, and its vertices' random weights in patches."""
 
     def __init__(self, device: str, rng: np.random.Generator) -> None:
@@ -71,8 +71,8 @@ class Scene:
 
 
 @pytest.fixture
-def scene(device: str, rng: np.random.Generator) -> Scene:
-    return Scene(device, rng)
+def scene(device: str, rng: np.random.Generator) -> PatchScene:
+    return PatchScene(device, rng)
 
 
 def dense(first: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -83,7 +83,7 @@ def dense(first: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return whole
 
 
-def test_patches_and_places_match_the_twin(scene: Scene) -> None:
+def test_patches_and_places_match_the_twin(scene: PatchScene) -> None:
     turn, shift = twin.fit_patches(scene.x, scene.y, scene.w)
     carried, local = twin.places(scene.x, scene.y, scene.w, scene.rotation, turn, shift)
     for found, expected in zip(scene.run(), (turn, shift, carried, local), strict=True):
@@ -91,7 +91,7 @@ def test_patches_and_places_match_the_twin(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("start", ["nothing", "another", "mirrored"])
-def test_patches_are_found_from_any_start_and_in_spans(scene: Scene, start: str) -> None:
+def test_patches_are_found_from_any_start_and_in_spans(scene: PatchScene, start: str) -> None:
     starts = {"nothing": np.nan, "another": turn_about([0, 1, 0], 3.0), "mirrored": -np.eye(3)}
     turn, shift = twin.fit_patches(scene.x, scene.y, scene.w)
     found = scene.run(np.broadcast_to(starts[start], scene.rotation.shape), cuts=(0, 3, 11))
@@ -99,7 +99,7 @@ def test_patches_are_found_from_any_start_and_in_spans(scene: Scene, start: str)
     np.testing.assert_allclose(found[1], shift, rtol=0, atol=1e-5)
 
 
-def test_a_patch_without_extent_goes_with_its_place(scene: Scene) -> None:
+def test_a_patch_without_extent_goes_with_its_place(scene: PatchScene) -> None:
     """All members in one point: no rotation is known, the shift still takes the point where it is."""
     scene.y[:], scene.x[:] = scene.y[0], scene.x[:, :1]
     turn, _, carried, local = scene.run()
@@ -108,7 +108,7 @@ def test_a_patch_without_extent_goes_with_its_place(scene: Scene) -> None:
     np.testing.assert_allclose(local, 0.0, atol=1e-5)
 
 
-def test_what_holds_matches_the_twin_and_adds_to_the_matrix(scene: Scene, rng: np.random.Generator) -> None:
+def test_what_holds_matches_the_twin_and_adds_to_the_matrix(scene: PatchScene, rng: np.random.Generator) -> None:
     carried, local = rng.normal(size=(2, *scene.x.shape))
     whole = scene.hold(carried, local, start=0.2)
     f = dense(*time_filter(np.arange(FRAMES)))
@@ -120,7 +120,7 @@ def test_what_holds_matches_the_twin_and_adds_to_the_matrix(scene: Scene, rng: n
         np.testing.assert_array_equal(found, expected)
 
 
-def test_what_holds_is_minus_half_the_gradient(scene: Scene, rng: np.random.Generator) -> None:
+def test_what_holds_is_minus_half_the_gradient(scene: PatchScene, rng: np.random.Generator) -> None:
     """Of h |x - e|^2, e as it is: by finite differences and by Warp's autodiff (a place is three planes)."""
     carried, local = rng.normal(size=(2, *scene.x.shape))
     rhs = scene.hold(carried, local)[1]
@@ -143,7 +143,7 @@ def test_what_holds_is_minus_half_the_gradient(scene: Scene, rng: np.random.Gene
     assert_gradients_close(rhs.reshape(-1, 3), -0.5 * gradient_of(move))
 
 
-def test_even_motion_is_left_alone_and_a_kick_of_the_whole_is_no_noise(scene: Scene) -> None:
+def test_even_motion_is_left_alone_and_a_kick_of_the_whole_is_no_noise(scene: PatchScene) -> None:
     """A body that jumps as a whole asks for nothing; one vertex that jumps in one frame is drawn back."""
     turn = np.stack([turn_about([1, 2, 3], a) for a in (0.0, 0.1, 2.0, 2.1, 0.3)])
     scene.x = np.einsum("tab,vb->tva", turn, scene.y) + [[[0, 0, 9.0 * (t == 2)]] for t in range(FRAMES)]

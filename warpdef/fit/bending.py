@@ -29,7 +29,7 @@ STILL = 0.3
 """Largest move of a vertex in a step, in point spacings, below which the next reach is taken."""
 FACING = 3.0
 AGREEMENT = 0.3
-TANGENTIAL = 0.1
+ALONG = 0.1
 WAY_BACK = 3.0
 """Distance, in point spacings, between a vertex and the one that its point asks for, at which it counts by 1/e."""
 _NOTHING = 1e-3
@@ -108,7 +108,7 @@ class Bending:
                     return pose
                 vertex, point, weight = vertex[kept], point[kept], weight[kept]
                 goal = cloud.points[point], cloud.normals[point]
-                pose = self.graph.step(self.rest, pose, vertex, *goal, rigidity, TANGENTIAL, weight)
+                pose = self.graph.step(self.rest, pose, vertex, *goal, rigidity, ALONG, weight)
                 before, placed = placed, self.place(pose)
                 if np.abs(placed - before).max() < STILL * cloud.spacing:
                     break

@@ -27,9 +27,8 @@ from warpdef.fit.refine import Refinement
 from warpdef.geometry.cloud_normals import turned_to
 from warpdef.geometry.triangles import vertex_normals
 from warpdef.kernels.ways import Way
+from warpdef.quality.shape import STRETCHED
 
-STRETCHED = 1.5
-"""Ratio of an edge's length to the template's, either way, from which it is stretched."""
 STRETCHED_MAX = 0.02
 """Share of such edges from which a frame went wrong, even if all points are covered."""
 

@@ -20,7 +20,7 @@ from warpdef.kernels.patches import fit_patches, local_places, smooth_rhs
 _PATCH = 32  # vertices a patch
 _PER_VERTEX = 4  # patches a vertex, at most
 _SPREAD = 6  # edges over which a patch fades into those around it
-_REACH = 3  # frames on either side that a place is smoothed over
+_SIDE = 3  # frames on either side that a place is smoothed over
 _OWN_LEFT_OUT = 0.5  # share of a vertex's own smooth motion that is given up at noise 1
 _COURSE = 0.5  # share in which the patches' own motion is smoothed at noise 1: limbs accelerate, and that must stay
 _ALONE = 4.0  # weight where there is no time to be smooth in, before it is stiffened
@@ -93,11 +93,11 @@ def time_filter(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         ``first[t] .. first[t] + W``, up to three on either side, fewer and on one side at the ends.
     """
     count = len(times)
-    width = min(2 * _REACH + 1, count)
-    first = np.clip(np.arange(count) - _REACH, 0, count - width)
+    width = min(2 * _SIDE + 1, count)
+    first = np.clip(np.arange(count) - _SIDE, 0, count - width)
     weights = np.zeros((count, width))
     for t in range(count):
-        used = np.arange(max(t - _REACH, 0), min(t + _REACH + 1, count))
+        used = np.arange(max(t - _SIDE, 0), min(t + _SIDE + 1, count))
         powers = np.vander(times[used] - times[t], min(_ORDER, len(used) - 1) + 1, increasing=True)
         weights[t, used - first[t]] = np.linalg.pinv(powers.astype(float))[0]
     return first, weights

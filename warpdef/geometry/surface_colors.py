@@ -19,7 +19,7 @@ import numpy as np
 from warpdef.geometry.triangles import unique_edges, vertex_normals
 
 NEAREST = 8
-REACH = 2.0  # spacings from a vertex to the nearest point of a frame that shows it
+SHOWN_WITHIN = 2.0  # spacings from a vertex to the nearest point of a frame that shows it
 ACROSS = 4.0  # weight of the distance across the surface, squared
 _BLOCK = 1 << 22  # numbers of a median at a time
 
@@ -84,7 +84,7 @@ def _frame_colors(
         # Given normals may point inwards, all of a frame.
         size = np.where(facing * (1.0 if np.median(facing) >= 0 else -1.0) > 0, size, np.inf)
     least = size.min(axis=1)
-    shown = least <= (REACH * spacing) ** 2
+    shown = least <= (SHOWN_WITHIN * spacing) ** 2
     scale = (spacing / 2.0) ** 2 or 1.0
     weight = np.exp(-(size - np.where(shown, least, 0.0)[:, None]) / scale)
     weight[~shown] = 1.0

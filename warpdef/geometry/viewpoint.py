@@ -15,8 +15,8 @@ import numpy as np
 from warpdef.geometry.cloud_normals import pca_normals, turned_to
 
 FRAMES = 5  # asked, spread over the sequence
-SAMPLE = 2000  # points of each
-DIRECTIONS = 32  # over half of the sphere, 20 degrees apart; then finer ones around the best
+POINTS_ASKED = 2000  # points of each
+VIEWS = 32  # over half of the sphere, 20 degrees apart; then finer ones around the best
 BESIDE = 6  # neighbours in the picture
 STEP = 3.0  # least depth between two of them that lie on two layers, in their distance there or the spacing there, ...
 APART = 4.0  # ... and least distance, in spacings: a steep place is no step
@@ -36,7 +36,7 @@ def viewing_direction(clouds: Sequence[np.ndarray]) -> np.ndarray | None:
     chosen = np.unique(np.linspace(0, len(clouds) - 1, min(FRAMES, len(clouds))).round().astype(int))
     samples = [_sample(clouds[t]) for t in chosen]
     middle = samples[len(samples) // 2]
-    half = half_sphere(DIRECTIONS)
+    half = half_sphere(VIEWS)
     layered = [layered_share(middle, d) for d in half]
     if min(layered) > PLAUSIBLE:
         return None
@@ -103,6 +103,6 @@ def _across(direction: np.ndarray) -> list[np.ndarray]:
 
 
 def _sample(points: np.ndarray) -> np.ndarray:
-    if len(points) <= SAMPLE:
+    if len(points) <= POINTS_ASKED:
         return points
-    return points[np.random.default_rng(0).choice(len(points), SAMPLE, replace=False)]
+    return points[np.random.default_rng(0).choice(len(points), POINTS_ASKED, replace=False)]
