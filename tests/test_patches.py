@@ -59,14 +59,14 @@ class PatchScene:
 
     def hold(self, carried, local, hold=0.7, shares=(0.6, 0.3), start=0.0, cuts=(0,)) -> tuple[np.ndarray, np.ndarray]:
         """Matrix and right-hand side."""
-        first, weights = time_filter(np.arange(len(carried)))
-        on, shape = self.device, carried.shape
-        filter = put(first, wp.int32, on), wp.array(weights.astype(np.float32), dtype=wp.float32, device=on)
+        starts, rows = time_filter(np.arange(len(carried)))
+        on, shape, (own, course) = self.device, carried.shape, shares
+        first, weights = put(starts, wp.int32, on), wp.array(rows.astype(np.float32), dtype=wp.float32, device=on)
         places = put(self.rotation[: len(carried)], wp.mat33, on), put(carried, wp.vec3, on), put(local, wp.vec3, on)
         matrix = put(np.full((*shape, 3), start), wp.mat33, on)
         rhs = put(np.full(shape, np.nan), wp.vec3, on)
         for begin, count in spans(cuts, shape[0] * shape[1]):
-            smooth_rhs(begin, count, hold, *shares, *filter, *places, matrix, rhs)
+            smooth_rhs(begin, count, hold, own, course, first, weights, *places, matrix, rhs)
         return matrix.numpy(), rhs.numpy()
 
 
