@@ -7,7 +7,8 @@ moves on its own, by Gauss-Newton on
 
 with symmetric point-to-plane residuals r both ways, a rotation R a vertex and frame, and one rest shape y for all
 frames. y is an unknown like the others (``rest_shape``). The noisier the clouds, the stiffer. Pairs and their planes
-come from ``pairing``; what a frame does not show is held by the frames around it (``unseen``).
+come from ``pairing``; what a frame does not show is held by the frames around it (``unseen``). In the last rounds a
+second solve draws vertices to places that are smooth in time (``smoothness``).
 
 A round is three phases: every frame pairs, solves for its moves and fits its rotations; every vertex asks the frames
 that show all of the surface for its edges, or all frames if none does; the shape is solved for. Where an incomplete
