@@ -102,7 +102,7 @@ def _smooth_rhs(
     rotation: wp.array2d[wp.mat33],
     carried: wp.array2d[wp.vec3],
     local: wp.array2d[wp.vec3],
-    # Out; the matrix is added to:
+    # Out, the matrix added to:
     matrix_out: wp.array2d[wp.mat33],
     rhs_out: wp.array2d[wp.vec3],
 ):

@@ -158,7 +158,7 @@ BREAKS = [
     Break("warpdef/fit/follow.py", "if self.search.uncovered(frame) < left:", "if True:",
           ("follow", "follow_bends"),
           "what was bent is kept, better or not"),
-    Break("warpdef/fit/follow.py", "if config.recover and judged and self", "if config.recover and self",
+    Break("warpdef/fit/follow.py", "if config.recover and judged:", "if config.recover:",
           ("follow", "follow_bends"),
           "incomplete frames are judged lost and bent"),
     Break("warpdef/fit/follow.py", "objective.problem.normals.assign(walk.given)", "pass", ("follow",),

@@ -19,6 +19,8 @@ def altered(config: Config) -> list[Config]:
     for f in fields(Config):
         group = getattr(config, f.name)
         owner = group if is_dataclass(group) else config
+        if f.name == "landmarks":  # they need the vertex stage
+            owner = replace(config, refine=replace(config.refine, iterations=1))
         for g in fields(group) if is_dataclass(group) else [f]:
             for value in candidates(get_type_hints(type(owner))[g.name], getattr(owner, g.name), g.name):
                 try:
