@@ -33,6 +33,19 @@ def test_what_a_frame_does_not_show_is_where_its_neighbours_say(device: str, rng
     )
 
 
+def test_what_a_frame_on_the_way_does_not_show_stays_where_it_was_brought(
+    device: str, rng: np.random.Generator
+) -> None:
+    """Brought far from all points, nothing of the frame is seen: settling it moves nothing, from wherever it came."""
+    scene = MovingEllipsoid.make(3, 800, rng, seen=lambda t, p: (p[:, 0] < 0) | (t != 1))
+    run = Rounds(scene, scene.vertices, device, 0, keyframe=0)
+    brought = run.objective.vertices.numpy().copy()
+    brought[1] += [0.0, 0.0, 3.0]
+    run.objective.vertices.assign(brought)
+    run.stage.settle(1, 0, 2)
+    np.testing.assert_allclose(run.objective.vertices.numpy()[1, :, 2], brought[1, :, 2], atol=0.02)
+
+
 @pytest.mark.parametrize(
     ("whole", "held"),
     [
