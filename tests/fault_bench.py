@@ -72,10 +72,13 @@ class Bench:
         """Here, so that children have it: modules, kernels compiled and in memory."""
         import warpdef
         from warpdef.apps import main, reconstruct  # noqa: F401
+
+        main.build_app("reconstruct")  # who may read no folder of packages later can import none either
         from warpdef.files import run_folder  # noqa: F401
-        from warpdef.files.config_file import load_config
+        from warpdef.files.config_file import config_to_toml, load_config
 
         config = load_config(self.flags[1]) if self.flags else warpdef.Config()
+        config_to_toml(config)
         config = replace(config, optimiser=replace(config.optimiser, iterations=20, warmup=10))
         config = replace(config, refine=replace(config.refine, iterations=1))
         warpdef.reconstruct(warpdef.read_clouds(self.source), config, device="cpu", threads=1)
