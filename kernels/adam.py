@@ -25,6 +25,32 @@ def adam_change(g: float, m: float, v: float, bias_1: float, bias_2: float, epsi
     return m * bias_1 / (wp.sqrt(v * bias_2) + epsilon)
 
 
+@wp.func
+def adam_step(
+    i: int,
+    rate: float,
+    schedule: wp.array[wp.float32],
+    beta1: float,
+    beta2: float,
+    epsilon: float,
+    gradient: wp.array[Any],
+    first: wp.array[Any],
+    second: wp.array[Any],
+    parameter: wp.array[Any],
+):
+    """Parameter i and its moments."""
+    scale = rate * schedule[RATE_SCALE]
+    g = gradient[i]
+    m = beta1 * first[i] + (1.0 - beta1) * g
+    v = beta2 * second[i] + (1.0 - beta2) * wp.cw_mul(g, g)
+    p = parameter[i]
+    for c in range(len(g)):
+        p[c] = p[c] - scale * adam_change(g[c], m[c], v[c], schedule[BIAS_1], schedule[BIAS_2], epsilon)
+    first[i] = m
+    second[i] = v
+    parameter[i] = p
+
+
 @sizes(f"threads gradient first second parameter: N; period rate: R; schedule: {SCHEDULE_SIZE}")
 @wp.kernel
 def _adam(
@@ -44,16 +70,7 @@ def _adam(
 ):
     """One thread a node or vertex; its rate is ``rate[i modulo period]``."""
     i = begin + wp.tid()
-    scale = rate[i % period] * schedule[RATE_SCALE]
-    g = gradient[i]
-    m = beta1 * first[i] + (1.0 - beta1) * g
-    v = beta2 * second[i] + (1.0 - beta2) * wp.cw_mul(g, g)
-    p = parameter[i]
-    for c in range(len(g)):
-        p[c] = p[c] - scale * adam_change(g[c], m[c], v[c], schedule[BIAS_1], schedule[BIAS_2], epsilon)
-    first[i] = m
-    second[i] = v
-    parameter[i] = p
+    adam_step(i, rate[i % period], schedule, beta1, beta2, epsilon, gradient, first, second, parameter)
 
 
 for _dtype in (node8, wp.vec3):

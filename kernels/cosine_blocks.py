@@ -12,11 +12,11 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpdef.kernels.adam import adam_change
+from warpdef.kernels.adam import adam_step
 from warpdef.kernels.blocks import block_options, lane, lanes, wait
 from warpdef.kernels.launching import MODULE_OPTIONS
 from warpdef.kernels.levels import node8
-from warpdef.kernels.schedule import BIAS_1, BIAS_2, RATE_SCALE, SCHEDULE_SIZE
+from warpdef.kernels.schedule import SCHEDULE_SIZE
 from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
@@ -212,19 +212,9 @@ def descend_in_blocks(
     solve_level_shared(s, level, levels, weight, halves, half_offset, eigenvalues, eigenvalue_offset, adj_x, adj_u_out)
     n = levels[2 * level]
     begin = levels[2 * level + 1]
-    bias_1 = schedule[BIAS_1]
-    bias_2 = schedule[BIAS_2]
     for i in range(begin + lane(), begin + n * n * n, lanes()):
-        scale = rate[i % rate.shape[0]] * schedule[RATE_SCALE]
-        g = adj_u_out[s, i]
-        m = beta1 * first[s, i] + (1.0 - beta1) * g
-        v = beta2 * second[s, i] + (1.0 - beta2) * wp.cw_mul(g, g)
-        p = u[s, i]
-        for c in range(len(g)):
-            p[c] = p[c] - scale * adam_change(g[c], m[c], v[c], bias_1, bias_2, epsilon)
-        first[s, i] = m
-        second[s, i] = v
-        u[s, i] = p
+        share = rate[i % rate.shape[0]]
+        adam_step(i, share, schedule, beta1, beta2, epsilon, adj_u_out[s], first[s], second[s], u[s])
         adj_x[s, i] = node8()
     wait()
     solve_level_shared(s, level, levels, weight, halves, half_offset, eigenvalues, eigenvalue_offset, u, x_out)

@@ -155,7 +155,7 @@ BREAKS = [
           "reach of the way back between clouds"),
     Break("warpdef/fit/follow.py", "zip(fitted[-2::-1], fitted[:0:-1], strict=True)", "zip([], [], strict=True)",
           ("follow", "follow_bends"), "no second try from the frame behind"),
-    Break("warpdef/fit/follow.py", "if self.search.uncovered(frame) < left:", "if True:",
+    Break("warpdef/fit/follow.py", "if cost(frame) < least:", "if True:",
           ("follow", "follow_bends"),
           "what was bent is kept, better or not"),
     Break("warpdef/fit/follow.py", "if config.recover and judged:", "if config.recover:",

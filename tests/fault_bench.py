@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -72,16 +72,9 @@ class Bench:
 
     def _load_everything(self) -> None:
         """Here, so that children have it: modules, kernels compiled and in memory."""
-        import warpdef
-        from warpdef.apps import main, reconstruct  # noqa: F401
-        from warpdef.files import run_folder  # noqa: F401
-        from warpdef.files.config_file import load_config
+        from warpdef.apps import main
 
-        config = load_config(self.flags[1]) if self.flags else warpdef.Config()
-        config = replace(config, optimiser=replace(config.optimiser, iterations=20, warmup=10))
-        config = replace(config, refine=replace(config.refine, iterations=1))
-        warpdef.reconstruct(warpdef.read_clouds(self.source), config, device="cpu", threads=1)
-        # What a command imports late as well: who may not read the folder of packages cannot import it any more.
+        # By a command, for what it imports late as well: who may not read the folder of packages cannot do so later.
         with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
             rounds = ["--optimiser.iterations", "20", "--refine.iterations", "1", "--threads", "1", "--device", "cpu"]
             main.run(["reconstruct", str(self.source), "-o", str(self.folder / "warm"), *self.flags, *rounds])

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from warpdef.geometry.edges import spread_over_edges
 from warpdef.geometry.triangles import unique_edges
 from warpdef.mesh import MeshSequence, TriMesh
 
@@ -75,17 +76,8 @@ def spread_over_vertices(
     total = np.bincount(corners, (weights * values[:, None]).reshape(-1), minlength=count)
     known = weight > 1e-9
     mean = np.where(known, total / np.where(known, weight, 1.0), 0.0)
-    edges = unique_edges(faces)
-    one, other = np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]])
-    for _ in range(rings):
-        if known.all():
-            break
-        reached = np.bincount(one, known[other], minlength=count)
-        sums = np.bincount(one, np.where(known, mean, 0.0)[other], minlength=count)
-        new = ~known & (reached > 0)
-        mean[new] = sums[new] / reached[new]
-        known = known | new
-    return np.where(known, mean, np.nan)
+    spread, known = spread_over_edges(mean[:, None], known, unique_edges(faces), rings)
+    return np.where(known, spread[:, 0], np.nan)
 
 
 @dataclass

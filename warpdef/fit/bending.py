@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpdef.fit.embedded import DeformationGraph, Pose
+from warpdef.geometry.rotations import nearest_rotation
 from warpdef.geometry.sampling import spread_evenly
 from warpdef.geometry.triangles import is_watertight, vertex_normals
 
@@ -73,10 +74,7 @@ class Bending:
         rest, there, (a, b) = self.rest[self.graph.node], vertices[self.graph.node], self.graph.link.T
         turn = np.zeros((len(rest), 3, 3))
         np.add.at(turn, a, (there[b] - there[a])[:, :, None] * (rest[b] - rest[a])[:, None, :])
-        left, _, right = np.linalg.svd(turn)
-        # No reflections: the axis that says least is turned over.
-        left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
-        return Pose(left @ right, there - rest)
+        return Pose(nearest_rotation(turn), there - rest)
 
     def place(self, pose: Pose) -> np.ndarray:
         """All vertices in a pose, (V, 3)."""

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warpdef.geometry.edges import edge_graph
+
 _NEAREST = 4  # nodes a vertex
 _STRAIGHT = 0.8  # least cosine of a chord with the normals at its ends
 
@@ -49,11 +51,7 @@ class DeformationGraph:
 
         total = len(vertices)
         count = min(count, total)
-        length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-        # A length of 0 would be no edge to a sparse matrix.
-        length = np.maximum(length, 1e-9 * max(float(length.max(initial=0.0)), 1e-30))
-        both = (np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]]))
-        walk = sparse.csr_matrix((np.tile(length, 2), both), shape=(total, total))
+        walk = edge_graph(vertices, edges)
 
         # The nearest nodes so far of every vertex, and how far along the surface.
         near = np.full((total, _NEAREST + 1), np.inf)

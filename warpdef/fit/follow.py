@@ -25,12 +25,14 @@ from warpdef.fit.objective import Objective
 from warpdef.fit.recover import Cloud, ConnectedSurface, Search
 from warpdef.fit.refine import Refinement
 from warpdef.geometry.cloud_normals import turned_to
+from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.triangles import vertex_normals
 from warpdef.kernels.ways import Way
 from warpdef.quality.shape import STRETCHED
 
 STRETCHED_MAX = 0.02
 """Share of such edges from which a frame went wrong, even if all points are covered."""
+_LEAST = 1e-30  # of an edge's length: its logarithm is asked for
 
 
 def follow(
@@ -73,7 +75,8 @@ class _Walk:
         surface = ConnectedSurface.of(p.faces, p.edges.numpy())
         self.search = Search(objective.vertices.numpy().astype(np.float64), clouds, surface, p.transitions.keyframe)
         self.bent: set[int] = set()
-        self._clouds, self._edges, self._lengths = clouds, surface.edges, _lengths(p.template, surface.edges)
+        self._clouds, self._edges = clouds, surface.edges
+        self._lengths = np.maximum(edge_lengths(p.template, self._edges), _LEAST)
 
     @cached_property
     def bending(self) -> Bending:
@@ -135,8 +138,13 @@ class _Walk:
 
     def _stretched(self, frame: int) -> float:
         """Share of edges that are half as long again as the template's, or shorter by as much."""
-        ratio = np.log(_lengths(self.search.vertices[frame], self._edges) / self._lengths)
+        lengths = np.maximum(edge_lengths(self.search.vertices[frame], self._edges), _LEAST)
+        ratio = np.log(lengths / self._lengths)
         return float(np.mean(np.abs(ratio) > np.log(STRETCHED)))
+
+    def _misfit(self, frame: int) -> float:
+        """Share of points uncovered, and of edges stretched."""
+        return self.search.uncovered(frame) + self._stretched(frame)
 
     def _try_again(self, frame: int, neighbour: int) -> None:
         """Other ways to a frame from its neighbour, where the one taken went wrong."""
@@ -147,19 +155,10 @@ class _Walk:
 
     def _turn(self, frame: int, neighbour: int) -> None:
         """The template bent onto a frame from its neighbour's pose, and settled; kept if it fits better."""
-        vertices = self.objective.vertices[frame]
-        before = vertices.numpy().copy()  # a view on the CPU
-        score = self.search.uncovered(frame) + self._stretched(frame)
         cloud = self._clouds[frame] if self._clouds[frame].oriented else self._clouds[frame].turned_outwards()
         start = self.bending.pose_of(self.search.vertices[neighbour])
         pose = self.bending.onto(SeenCloud.of(cloud.points, cloud.normals), start)
-        vertices.assign(self.bending.place(pose).astype(np.float32))
-        self._settle(frame, neighbour)
-        if self.search.uncovered(frame) + self._stretched(frame) < score:
-            self.bent.add(frame)
-        else:
-            vertices.assign(before)
-            self.search.place(frame, before.astype(np.float64))
+        self._attempt(frame, neighbour, self.bending.place(pose), self._misfit, self._misfit(frame))
 
     def _settle(self, frame: int, neighbour: int) -> None:
         """Fit a frame from where its vertices are, and measure it."""
@@ -171,13 +170,19 @@ class _Walk:
 
     def _bend(self, frame: int, neighbour: int) -> None:
         """The neighbour's mesh bent onto a frame by matches, and settled; kept if it leaves less uncovered."""
+        left = self.search.uncovered(frame)
+        if self.search.learn(frame, neighbour):
+            self._attempt(frame, neighbour, self.search.vertices[frame], self.search.uncovered, left)
+
+    def _attempt(
+        self, frame: int, neighbour: int, start: np.ndarray, cost: Callable[[int], float], least: float
+    ) -> None:
+        """A frame settled from another start (V, 3); kept if that costs less, else it goes back to where it was."""
         vertices = self.objective.vertices[frame]
-        before, left = vertices.numpy().copy(), self.search.uncovered(frame)  # a view on the CPU
-        if not self.search.learn(frame, neighbour):
-            return
-        vertices.assign(self.search.vertices[frame].astype(np.float32))
+        before = vertices.numpy().copy()  # a view on the CPU
+        vertices.assign(start.astype(np.float32))
         self._settle(frame, neighbour)
-        if self.search.uncovered(frame) < left:
+        if cost(frame) < least:
             self.bent.add(frame)
         else:
             vertices.assign(before)
@@ -191,8 +196,3 @@ class _Walk:
         facing = vertex_normals(vertices.astype(np.float64), p.faces)[cKDTree(vertices).query(self.points[frame])[1]]
         begin, end = (int(place) for place in p.cloud_offsets[frame : frame + 2])
         p.normals[begin:end].assign(turned_to(self.normals[frame], facing).astype(np.float32))
-
-
-def _lengths(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Of edges (E, 2) between vertices (V, 3), none 0; shape (E,)."""
-    return np.maximum(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1), 1e-30)

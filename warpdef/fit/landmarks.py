@@ -18,6 +18,7 @@ from warpdef.errors import InputError
 from warpdef.files.landmarks import Landmarks
 from warpdef.fit.problem import Problem
 from warpdef.geometry.closest import closest_on_surface
+from warpdef.geometry.rotations import nearest_rotation
 from warpdef.kernels.landmarks import draw_to_landmarks
 from warpdef.sequence import PointSequence, Similarity
 
@@ -185,8 +186,7 @@ def bent_by(source: np.ndarray, target: np.ndarray, points: np.ndarray) -> np.nd
     if len(a) >= 4 and spread[2] > _FLAT * spread[0]:
         linear = np.linalg.lstsq(a, b, rcond=None)[0]
     elif len(a) >= 3 and spread[1] > _FLAT * spread[0]:
-        u, _, vt = np.linalg.svd(a.T @ b)
-        linear = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+        linear = nearest_rotation(a.T @ b)
     else:
         linear = np.eye(3)
     moved = (points - middle) @ linear + to

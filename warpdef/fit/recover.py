@@ -17,6 +17,7 @@ import numpy as np
 
 from warpdef.fit.embedded import DeformationGraph, Pose
 from warpdef.geometry.cloud_normals import estimate_normals, repair_normals, turned_to
+from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.triangles import component_labels, vertex_normals
 
 NODES = 400
@@ -109,8 +110,7 @@ class Matches:
         distance, nearest = cKDTree(vertices[trusted]).query(self.cloud.points)
         # The middle of a triangle is up to 0.6 of its longest edge away from its corners.
         around, edges = np.zeros(len(vertices)), self.surface.edges
-        length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-        np.maximum.at(around, edges, length[:, None])
+        np.maximum.at(around, edges, edge_lengths(vertices, edges)[:, None])
         return float(np.mean(distance > REACH * self.spacing + 0.6 * around[trusted][nearest]))
 
 

@@ -189,7 +189,7 @@ class Refinement:
 
     def _fit_frames(self, first: int, last: int) -> None:
         """Pair, solve for the moves that the pairs, the edges and the frames around ask for, and turn with them."""
-        o, c = self.objective, self.config
+        o = self.objective
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
         self.pairing.find(first, last)
         sums = (self._matrix.flatten(), self._rhs.flatten())
@@ -199,17 +199,18 @@ class Refinement:
         if self.landmarks is not None:
             self.landmarks.hold(first, last, *sums)
         rigid_rhs(begin, count, self.rigidity, *self._edges, self.shape.places, self.rotation, o.vertices, self._rhs)
-        self._solver.solve(first, last, self.rigidity, c.damping, self._matrix, self._rhs, self._move)
-        add_scaled(begin, count, 1.0, self._move.flatten(), o.vertices.flatten())
-        self._fit_rotations(first, last)
+        self._solve(first, last)
 
     def _smooth_frames(self, first: int, last: int) -> None:
         """Solve for the moves to places that are smooth in time, by the matrix of the pairs just met, and turn."""
-        c, mesh = self.config, self.problem.vertex_count
         self.smoothness.hold(first, last, self._matrix, self._rhs)
-        self._solver.solve(first, last, self.rigidity, c.damping, self._matrix, self._rhs, self._move)
-        moved, vertices = self._move.flatten(), self.objective.vertices.flatten()
-        add_scaled(first * mesh, (last - first) * mesh, 1.0, moved, vertices)
+        self._solve(first, last)
+
+    def _solve(self, first: int, last: int) -> None:
+        """Move by what matrix and right-hand side ask for, and turn."""
+        begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
+        self._solver.solve(first, last, self.rigidity, self.config.damping, self._matrix, self._rhs, self._move)
+        add_scaled(begin, count, 1.0, self._move.flatten(), self.objective.vertices.flatten())
         self._fit_rotations(first, last)
 
     def _fit_rotations(self, first: int, last: int) -> None:

@@ -14,7 +14,9 @@ import numpy as np
 import warp as wp
 
 from warpdef.fit.problem import Problem
+from warpdef.geometry.edges import edge_graph
 from warpdef.geometry.sampling import spread_evenly
+from warpdef.geometry.triangles import component_labels
 from warpdef.kernels.patches import fit_patches, local_places, smooth_rhs
 
 _PATCH = 32  # vertices a patch
@@ -114,19 +116,17 @@ def patches_of(vertices: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.
         vertex has too few of have weight 0. No patch reaches over a gap between components.
     """
     from scipy import sparse
-    from scipy.sparse.csgraph import connected_components, dijkstra
+    from scipy.sparse.csgraph import dijkstra
 
     total = len(vertices)
-    length = np.maximum(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1), 1e-12)
-    ends = np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]])
-    walk = sparse.csr_matrix((np.tile(length, 2), ends), shape=(total, total))
+    walk = edge_graph(vertices, edges)
     centres = spread_evenly(vertices, max(total // _PATCH, 1))
-    part = connected_components(walk, directed=False)[1]
+    part = component_labels(edges[:, 0], edges[:, 1], total)
     lonely = np.flatnonzero(~np.isin(part, part[centres]))
     centres = np.union1d(centres, lonely[np.unique(part[lonely], return_index=True)[1]])
     source = dijkstra(walk, indices=centres, min_only=True, return_predecessors=True)[2]
     share = sparse.csr_matrix((np.ones(total), (np.arange(total), np.searchsorted(centres, source))))
-    near = sparse.csr_matrix((np.ones(len(ends[0])), ends), shape=(total, total)) + sparse.eye(total)
+    near = sparse.csr_matrix((np.ones(walk.nnz), walk.indices, walk.indptr), shape=walk.shape) + sparse.eye(total)
     mean = sparse.diags(1.0 / np.asarray(near.sum(axis=1)).ravel()) @ near
     for _ in range(_SPREAD):
         share = mean @ share

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpdef.geometry.edges import spread_over_edges
 from warpdef.geometry.triangles import unique_edges, vertex_normals
 
 NEAREST = 8
@@ -109,19 +110,9 @@ def _median(shades: np.ndarray, shown: np.ndarray) -> np.ndarray:
 
 def _spread(colors: np.ndarray, known: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Colours (V, 3) of the vertices known, and from there outwards over the mesh, as uint8."""
-    edges, count = unique_edges(faces), len(colors)
-    one, other = np.concatenate([edges, edges[:, ::-1]]).T
-    colors, known = np.where(known[:, None], colors, 0.0), known.copy()
     average = colors[known].mean(axis=0)
-    while not known.all():
-        reached = np.bincount(one, known[other], minlength=count)
-        new = ~known & (reached > 0)
-        if not new.any():
-            colors[~known] = average  # parts of the mesh that no frame shows at all
-            break
-        sums = [np.bincount(one, colors[other, channel], minlength=count) for channel in range(3)]
-        colors[new] = np.stack(sums, axis=1)[new] / reached[new, None]
-        known |= new
+    colors, known = spread_over_edges(colors, known, unique_edges(faces))
+    colors[~known] = average  # parts of the mesh that no frame shows at all
     return np.rint(colors).astype(np.uint8)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from warpdef.geometry.rotations import nearest_rotation
 from warpdef.geometry.triangles import unique_edges
 
 _TIE = 1e-9  # weight of the identity, which decides what a flat or straight neighbourhood leaves open
@@ -39,9 +40,7 @@ def local_rotations(rest: np.ndarray, moved: np.ndarray, faces: np.ndarray) -> n
         spread = spread.reshape(count, 3, 3)
         size = np.abs(spread).max(axis=(1, 2), keepdims=True)
         spread = spread / np.where(size > 0.0, size, 1.0) + _TIE * np.eye(3)
-        u, _, vt = np.linalg.svd(spread)
-        u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
-        turns[b] = Rotation.from_matrix(u @ vt).as_quat(canonical=True)
+        turns[b] = Rotation.from_matrix(nearest_rotation(spread)).as_quat(canonical=True)
     return turns
 
 

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.triangles import is_watertight, signed_volume, unique_edges, vertex_normals
 
 STRETCHED = 1.5
@@ -82,7 +83,7 @@ class ReferenceShape:
 
     def edge_lengths(self, vertices: np.ndarray) -> np.ndarray:
         """Of a frame (V, 3), shape (E,)."""
-        return np.linalg.norm(vertices[self.edges[:, 0]] - vertices[self.edges[:, 1]], axis=1)
+        return edge_lengths(vertices, self.edges)
 
     def compare(self, vertices: np.ndarray, lengths: np.ndarray | None = None) -> ShapeChange:
         """A frame's vertices (V, 3) against the shape, or against other lengths (E,) of the edges."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from warpdef.geometry.rotations import nearest_rotation
+
 _TINY = 1e-12
 
 
@@ -23,9 +25,7 @@ def fit_rigid(rest: np.ndarray, moved: np.ndarray, weights: np.ndarray) -> np.nd
 
 
 def _rigid(spread: np.ndarray, center: np.ndarray, centers: np.ndarray) -> np.ndarray:
-    u, _, vt = np.linalg.svd(spread)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    rotation = u @ vt
+    rotation = nearest_rotation(spread)
     return np.concatenate([rotation, (centers - rotation @ center)[:, :, None]], axis=2)
 
 
