@@ -96,13 +96,14 @@ class Rounds:
         prepare: bool = False,
         normals: list[np.ndarray] | None = None,
         oriented: list[bool] | None = None,
+        times: list[int] | None = None,
         **refine,
     ) -> None:
         config = Config()
         config = replace(config, grid=replace(config.grid, levels=2), refine=replace(config.refine, **refine))
         normals, on = normals or scene.normals, wp.get_device(device)
         self.problem = p = Problem(
-            scene.clouds, normals, vertices[keyframe], scene.faces, keyframe, config, on, oriented
+            scene.clouds, normals, vertices[keyframe], scene.faces, keyframe, config, on, oriented, times=times
         )
         team = Team(threads)
         try:

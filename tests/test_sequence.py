@@ -13,6 +13,7 @@ from warpdef.config import KeyframeConfig
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.files import read_clouds
 from warpdef.mesh import float32_where_exact
+from warpdef.motion.between import mesh_between
 from warpdef.motion.gaps import fill_gaps
 from warpdef.sequence import PointSequence, Similarity, name_frames
 from warpdef.template.keyframe import rank_keyframes
@@ -208,6 +209,39 @@ def test_a_mesh_turns_through_its_gaps():
     filled = fill_gaps(turned[[0, 2]], (1, 3), 4, faces)
     np.testing.assert_array_equal(filled[[0, 1, 3]], turned[[0, 0, 2]])
     np.testing.assert_allclose(filled[2], turned[1], rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("missing", [(2,), (3, 4), (1,), (5,), (1, 2, 3)])
+def test_what_speeds_up_arrives_in_time_for_its_gaps(missing: tuple[int, ...]) -> None:
+    """A sphere that turns and flies off ever faster: five times nearer than at even speed."""
+    sphere, faces = icosphere(2)
+    times = np.arange(7)
+    angles, ways = np.deg2rad(1.0) * times**2, 0.05 * times[:, None] ** 2 * [1.0, 0.5, 0.0]
+    true = np.stack([sphere @ turn_about([0, 0, 1], a).T + w for a, w in zip(angles, ways, strict=True)])
+    left = [t for t in times if t not in missing]
+    filled = fill_gaps(true[left], left, 7, faces)
+    before, after = missing[0] - 1, missing[-1] + 1
+    share = (np.array(missing) - before) / (after - before)
+    off, even = (
+        np.linalg.norm(found - true[list(missing)], axis=-1).mean()
+        for found in (filled[list(missing)], mesh_between(true[[before, after]], faces, share))
+    )
+    assert off < 0.2 * even
+    np.testing.assert_array_equal(filled[left], true[left])
+
+
+def test_fast_limbs_and_long_gaps_turn_evenly() -> None:
+    """A rod that turns by 100 degrees a frame would shrink on a cubic; speeds are not believed over four frames."""
+    sphere, faces = icosphere(2)
+    rod = sphere * [1.0, 0.1, 0.1] + [1.0, 0.0, 0.0]
+    for step, frames, count in ((50.0, (0, 2, 4), 5), (4.0, (0, 1, 6, 7), 8)):
+        true = np.stack([rod @ turn_about([0, 0, 1], np.deg2rad(step) * t).T for t in frames])
+        filled = fill_gaps(true, frames, count, faces)
+        at = 1 if count == 8 else 0
+        even = mesh_between(
+            true[at : at + 2], faces, np.arange(1, frames[at + 1] - frames[at]) / (frames[at + 1] - frames[at])
+        )
+        np.testing.assert_array_equal(filled[frames[at] + 1 : frames[at + 1]], even)
 
 
 def test_a_gap_is_no_keyframe():

@@ -91,3 +91,15 @@ def test_the_shape_is_faired_where_clouds_are_noisy_alone(device: str, rng: np.r
         ]
         kept[noisy] = np.std(ends[0] / ends[2]) / np.std(ends[1] / ends[2])
     assert kept[False] == pytest.approx(1.0, abs=1e-4) and kept[True] < 0.75
+
+
+def test_missing_frames_are_time_that_passes(rng: np.random.Generator) -> None:
+    """A parabola in true time is kept over a gap of one frame; nothing is smoothed over one of six."""
+    times = [0, 1, 2, 4, 5, 6, 13, 14, 15, 16]
+    scene = MovingEllipsoid.make(len(times), 60, rng)
+    stage = Rounds(scene, scene.vertices, "cpu", 0, keyframe=3, times=times).stage
+    first, weights = (array.numpy() for array in stage.smoothness._filter)
+    used, at = first[:, None] + np.arange(weights.shape[1]), np.array(times, dtype=float)
+    np.testing.assert_allclose((weights * (at**2)[used]).sum(axis=1), at**2, atol=1e-4)
+    apart = np.abs(at[used] - at[:, None])
+    assert apart[np.abs(weights) > 1e-6].max() == 3 and (np.abs(weights[2]) > 1e-6).sum() == 5

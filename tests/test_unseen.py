@@ -11,12 +11,14 @@ from gradients import assert_gradients_close, finite_differences, gradient_of
 from present import present
 from test_planes import PlaneScene, put, spans
 
+from warpdef.fit.unseen import _around
 from warpdef.kernels.unseen import expected_places, hold_unseen
 
 
-def expected(device: str, vertices, rotation, near, far, between, cuts=(0,)) -> np.ndarray:
+def expected(device: str, vertices, rotation, near, far, share, cuts=(0,)) -> np.ndarray:
     """(T, V, 3), by the kernel."""
-    before, after, part = (put(a, wp.int32, device) for a in (near, far, between))
+    before, after = (put(a, wp.int32, device) for a in (near, far))
+    part = put(share, wp.float32, device)
     out = put(np.full(vertices.shape, np.nan), wp.vec3, device)
     at, turned = put(vertices, wp.vec3, device), put(rotation, wp.mat33, device)
     for begin, count in spans(cuts, vertices.shape[0] * vertices.shape[1]):
@@ -32,7 +34,22 @@ def test_a_screw_motion_is_met_exactly(angle: float, device: str, rng: np.random
     turn = np.stack([twin.turn_about(axis, angle * t) for t in range(4)])
     vertices = np.einsum("tab,vb->tva", turn, body) + shift * np.arange(4)[:, None, None] + [0.2, 0.1, -0.3]
     rotation = np.repeat(turn[:, None], 20, axis=1)
-    found = expected(device, vertices, rotation, [1, 0, 1, 2], [2, 2, 3, 1], [0, 1, 1, 0])
+    found = expected(device, vertices, rotation, [1, 0, 1, 2], [2, 2, 3, 1], [-1.0, 0.5, 0.5, -1.0])
+    np.testing.assert_allclose(found, vertices, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-4, 0.3, 1.2])
+def test_uneven_times_are_met_on_the_same_screw(angle: float, device: str, rng: np.random.Generator) -> None:
+    """Frames at 0, 1, 4 and 6: the second stands after a quarter of the way, the last goes on by two thirds of one."""
+    times = np.array([0.0, 1.0, 4.0, 6.0])
+    body, axis, shift = rng.normal(size=(20, 3)), rng.normal(size=3), rng.normal(size=3)
+    shift = 0.2 * axis * (shift @ axis) / (axis @ axis)
+    turn = np.stack([twin.turn_about(axis, 0.3 * angle * t) for t in times])
+    vertices = np.einsum("tab,vb->tva", turn, body) + shift * times[:, None, None] + [0.2, 0.1, -0.3]
+    rotation = np.repeat(turn[:, None], 20, axis=1)
+    near, far, share = _around(times)
+    np.testing.assert_allclose(share, [-1 / 3, 1 / 4, 3 / 5, -2 / 3])
+    found = expected(device, vertices, rotation, near, far, share)
     np.testing.assert_allclose(found, vertices, rtol=0, atol=1e-5)
 
 
@@ -40,7 +57,7 @@ def test_half_a_turn_and_spans(device: str, rng: np.random.Generator) -> None:
     """Opposite places: no arc is known, the place stays finite and within the circle. Spans are the whole."""
     turn = np.stack([np.eye(3), np.eye(3), twin.turn_about([0, 0, 1], np.pi)])
     vertices = np.array([[[1.0, 0, 0]], [[0, 0, 0]], [[-1.0, 0, 0]]])
-    times = ([1, 0, 1], [2, 2, 0], [0, 1, 0])
+    times = ([1, 0, 1], [2, 2, 0], [-1.0, 0.5, -1.0])
     found = expected(device, vertices, turn[:, None], *times)
     assert np.isfinite(found).all() and np.linalg.norm(found[1]) <= 1.001
     many = rng.normal(size=(3, 11, 3))

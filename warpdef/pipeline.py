@@ -114,7 +114,8 @@ def reconstruct(
                 keyframe = sequence.numbers.index(chosen.keyframe)
                 steady = replace(config, optimiser=config.optimiser.for_length(len(clouds)))
                 ends = mesh.vertices, mesh.faces, keyframe
-                problem = Problem(clouds, normals, *ends, steady, target, given, view is not None)
+                one_sided = view is not None
+                problem = Problem(clouds, normals, *ends, steady, target, given, one_sided, sequence.numbers)
                 optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
                 refinement = (
                     Refinement(optimiser.objective, team, landmarks=landmarks) if config.refine.iterations else None

@@ -48,6 +48,7 @@ class Problem:
         vertices: template at the keyframe, (V, 3), cube units. faces: (F, 3). keyframe: its frame.
         oriented: whether a frame's normals are known to point outwards; None: all are.
         seen: whether one camera saw all clouds: normals are on its side beyond doubt, and no frame shows all.
+        times: of the frames, (T,), ascending, in any unit; None: one apart.
     """
 
     def __init__(
@@ -61,9 +62,11 @@ class Problem:
         device: wp.Device,
         oriented: Sequence[bool] | None = None,
         seen: bool = False,
+        times: Sequence[float] | None = None,
     ) -> None:
         self.config, self.device, self.way, self.pool = config, device, way_of(device), Pool(device)
         self.transitions, self.seen = Transitions.away_from(keyframe, len(clouds)), seen
+        self.times = np.arange(len(clouds)) if times is None else np.asarray(times)
         self.levels = LevelTable.build(config.grid.coarsest, config.grid.levels)
         orders = [morton_order(c) for c in clouds]
         clouds = [c[o] for c, o in zip(clouds, orders, strict=True)]

@@ -23,6 +23,7 @@ _PATCH = 32  # vertices a patch
 _PER_VERTEX = 4  # patches a vertex, at most
 _SPREAD = 6  # edges over which a patch fades into those around it
 _SIDE = 3  # frames on either side that a place is smoothed over
+_REACH = _SIDE + 0.5  # usual steps in time up to which they are: a parabola does not reach over long gaps
 _OWN_LEFT_OUT = 0.5  # share of a vertex's own smooth motion that is given up at noise 1
 _COURSE = 0.5  # share in which the patches' own motion is smoothed at noise 1: limbs accelerate, and that must stay
 _ALONE = 4.0  # weight where there is no time to be smooth in, before it is stiffened
@@ -56,7 +57,7 @@ class Smoothness:
         self.weight *= _STIFFENING**noise
         index, weight = patches_of(p.template, p.edges.numpy())
         row, member, strength = _members(index, weight)
-        first, filter = time_filter(np.arange(frames)) if ordered else (np.arange(frames), np.ones((frames, 1)))
+        first, filter = time_filter(p.times) if ordered else (np.arange(frames), np.ones((frames, 1)))
         device, self._patches = p.device, len(row) - 1
         self._patch = wp.array(index, dtype=wp.int32, device=device), wp.array(weight, dtype=wp.float32, device=device)
         self._members = p.integers(row), p.integers(member), p.numbers(strength)
@@ -92,14 +93,17 @@ def time_filter(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         The first of the frames of each, (T,), and their weights (T, W), sum 1: frame t is smoothed over the frames
-        ``first[t] .. first[t] + W``, up to three on either side, fewer and on one side at the ends.
+        ``first[t] .. first[t] + W``, up to three on either side, fewer and on one side at the ends, and fewer where
+        frames are missing: what is farther away in time than three frames usually are is left out.
     """
     count = len(times)
     width = min(2 * _SIDE + 1, count)
+    reach = _REACH * float(np.median(np.diff(times))) if count > 1 else 0.0
     first = np.clip(np.arange(count) - _SIDE, 0, count - width)
     weights = np.zeros((count, width))
     for t in range(count):
         used = np.arange(max(t - _SIDE, 0), min(t + _SIDE + 1, count))
+        used = used[np.abs(times[used] - times[t]) <= reach]
         powers = np.vander(times[used] - times[t], min(_ORDER, len(used) - 1) + 1, increasing=True)
         weights[t, used - first[t]] = np.linalg.pinv(powers.astype(float))[0]
     return first, weights

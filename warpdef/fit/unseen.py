@@ -1,8 +1,8 @@
 """Where vertices are expected that a frame does not show (``kernels.unseen``).
 
-Halfway between the frames around it, where these show all of the surface. Where one camera saw all frames none does:
-then the far side of a closed mesh stays where the bent template brought it (``bending``), which is rigid and thick. An
-open one is what the camera saw; nearly all of it has points.
+On the way between the frames around it, at its time, where these show all of the surface. Where one camera saw all
+frames none does: then the far side of a closed mesh stays where the bent template brought it (``bending``), which is
+rigid and thick. An open one is what the camera saw; nearly all of it has points.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ class Unseen:
         p, self._vertices, self._rotation = problem, vertices, rotation
         self.by_time = not p.seen or p.border is not None
         self._count = p.vertex_count
-        near, far, between = _around(p.frame_count)
+        near, far, share = _around(p.times)
         complete = p.measures.complete
         # A guess from guesses is none: one of the frames around must show all, at either end the nearer one.
-        held = ~complete & (complete[near] | (complete[far] & (between == 1))) & (p.frame_count >= 3)
+        held = ~complete & (complete[near] | (complete[far] & (share > 0))) & (p.frame_count >= 3)
         if not self.by_time:
             held[:] = True
         self.frames = np.flatnonzero(held)
-        self._around = p.integers(near), p.integers(far), p.integers(between)
+        self._around = p.integers(near), p.integers(far), p.numbers(share)
         self._hold = p.numbers(np.where(held, _HOLD, 0.0))
         self._expected = wp.clone(vertices) if len(self.frames) else None
 
@@ -72,12 +72,15 @@ class Unseen:
         return self._expected
 
 
-def _around(frame_count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The nearer and the farther of the frames around each, and whether it lies between them; (T,) each."""
-    t = np.arange(frame_count)
-    near, far, between = t - 1, t + 1, np.ones(frame_count)
-    if frame_count < 3:
-        return t, t, between
+def _around(times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nearer and the farther of the frames around each, and its share of the way from one to the other; (T,) each.
+
+    The share is below 0 at the ends, which lie before or after both.
+    """
+    count = len(times)
+    t = np.arange(count)
+    if count < 3:
+        return t, t, np.full(count, 0.5)
+    near, far = t - 1, t + 1
     near[0], far[0], near[-1], far[-1] = 1, 2, t[-2], t[-3]
-    between[[0, -1]] = 0
-    return near, far, between
+    return near, far, (times - times[near]) / (times[far] - times[near])
