@@ -215,8 +215,8 @@ def test_a_mesh_turns_through_its_gaps():
 def test_what_speeds_up_arrives_in_time_for_its_gaps(missing: tuple[int, ...]) -> None:
     """A sphere that turns and flies off ever faster: five times nearer than at even speed."""
     sphere, faces = icosphere(2)
-    times = np.arange(7)
-    angles, ways = np.deg2rad(1.0) * times**2, 0.05 * times[:, None] ** 2 * [1.0, 0.5, 0.0]
+    times = list(range(7))
+    angles, ways = np.deg2rad(1.0) * np.square(times), 0.05 * np.square(times)[:, None] * [1.0, 0.5, 0.0]
     true = np.stack([sphere @ turn_about([0, 0, 1], a).T + w for a, w in zip(angles, ways, strict=True)])
     left = [t for t in times if t not in missing]
     filled = fill_gaps(true[left], left, 7, faces)

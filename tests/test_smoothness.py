@@ -99,7 +99,7 @@ def test_missing_frames_are_time_that_passes(rng: np.random.Generator) -> None:
     scene = MovingEllipsoid.make(len(times), 60, rng)
     stage = Rounds(scene, scene.vertices, "cpu", 0, keyframe=3, times=times).stage
     first, weights = (array.numpy() for array in stage.smoothness._filter)
-    used, at = first[:, None] + np.arange(weights.shape[1]), np.array(times, dtype=float)
+    used, at = first[:, None] + np.arange(len(weights[0])), np.array(times, dtype=float)
     np.testing.assert_allclose((weights * (at**2)[used]).sum(axis=1), at**2, atol=1e-4)
     apart = np.abs(at[used] - at[:, None])
     assert apart[np.abs(weights) > 1e-6].max() == 3 and (np.abs(weights[2]) > 1e-6).sum() == 5

@@ -14,7 +14,7 @@ _STRAINED = 1.5  # times the change of edge lengths on even turns: limbs that ar
 # one frame of every three left out, mean error over the extent (even turns): crane 0.0005 (0.0019), walk 0.0001
 # (0.0011), gallop 0.0071 (0.0089); three in a row: 0.0018 (0.0060), 0.0008 (0.0032), 0.0131 (0.0234).
 _STRAIN_LEAST = 0.02  # of the edges' length: below it nothing looks strained
-_LEAST = 1e-30  # of a sum of lengths
+_NO_LENGTH = 1e-30  # of a sum of lengths
 
 
 def fill_gaps(
@@ -41,7 +41,7 @@ def fill_gaps(
     filled[fitted] = vertices
     filled[: fitted[0]], filled[fitted[-1] + 1 :] = vertices[0], vertices[-1]
     for t in np.flatnonzero(np.diff(fitted) > 1):
-        missing = np.arange(fitted[t] + 1, fitted[t + 1])
+        missing = np.arange(int(fitted[t]) + 1, int(fitted[t + 1]))
         if faces is None:
             share = ((missing - fitted[t]) / (fitted[t + 1] - fitted[t]))[:, None, None]
             filled[missing] = (1.0 - share) * vertices[t] + share * vertices[t + 1]
@@ -72,7 +72,7 @@ def _mesh_between(
     def strain(meshes: np.ndarray) -> float:
         expected = ((1.0 - s) * ends[0] + s * ends[1] for s in share)
         pairs = zip(meshes, expected, strict=True)
-        return float(np.mean([np.abs(edge_lengths(v, edges) - e).sum() / max(e.sum(), _LEAST) for v, e in pairs]))
+        return float(np.mean([np.abs(edge_lengths(v, edges) - e).sum() / max(e.sum(), _NO_LENGTH) for v, e in pairs]))
 
     taken = steady if strain(steady) <= max(_STRAINED * strain(turning), _STRAIN_LEAST) else turning
     return taken.astype(vertices.dtype)
