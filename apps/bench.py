@@ -34,8 +34,8 @@ def bench(
     machine the figures mean little.
 
     Args:
-        only: Rows and parts whose name contains this: motion, neighbours, losses, solves, refine, iteration, start,
-            scaling, or a row's own name.
+        only: Rows and parts whose name contains this: motion, neighbours, losses, solves, refine, iteration, whole run,
+            start, scaling, or a row's own name.
         size: One size: small, work or large; all if not given.
         quick: Small sizes and few launches, to see that everything runs.
         scaling: Also sweep threads, points, vertices, frames and levels, and fit how time and memory grow.

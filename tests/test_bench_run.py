@@ -23,6 +23,7 @@ from warpdef.apps.benchmark.rows import case_rows, kernel_rows
 from warpdef.apps.benchmark.scaling import run_sweeps
 from warpdef.apps.benchmark.sizes import ROWS, WORK, Size, selection
 from warpdef.apps.benchmark.timing import QUICK
+from warpdef.apps.benchmark.whole import whole_row, whole_run
 from warpdef.apps.main import run
 from warpdef.device import find_device
 from warpdef.errors import WarpdefError
@@ -105,6 +106,22 @@ def test_iteration_against_trees(work: Work) -> None:
     assert {"move: move_vertices", "compare: nearest_in_packets", "descend: adam"} <= set(results["kernels"])
 
 
+def test_a_whole_run_over_one_pass_of_trees(work: Work, tmp_path: Path) -> None:
+    found = whole_run(work, TINY, "cpu", 1, tmp_path)
+    assert (found["frames"], found["points"]) == (3, 200) and 0 < found["vertices"] <= 302
+    assert set(found["stages"]) == {"template", "compile", "optimise", "refine", "assess"}
+    parts = [*found["stages"].values(), found["others"]]
+    for key in ("cpu_s", "wall_s"):
+        assert found[key] == pytest.approx(sum(part[key] for part in parts))
+        assert all(part[key] > 0 for part in parts)
+    assert found["ratio"] == found["cpu_s"] / found["ckdtree_s"] > 1.0
+    row = whole_row(found, work)
+    assert row["elements"] == 600 and row["ms"] == pytest.approx(1e3 * found["cpu_s"])
+    assert row["peers"][0]["speed_up"] == pytest.approx(1.0 / found["ratio"])
+    with pytest.raises(WarpdefError, match=r"warpdef reconstruct .* ended with code 2: .*nowhere"):
+        whole_run(work, TINY, "nowhere", 1, tmp_path)
+
+
 def test_neighbours_that_differ_are_an_error(work: Work) -> None:
     results = descend(work, TINY, find_device("cpu"), 1, 1)
     results["trees"].worst = 0.5
@@ -140,15 +157,15 @@ def test_quick_run_from_the_command_line(tmp_path: Path, capfd) -> None:
     shown = capfd.readouterr().out
     written = json.loads(file.read_text())
     assert written["schema"] == SCHEMA
-    parts = "schema environment null_tests machine rows ratios phases start scaling targets errors"
+    parts = "schema environment null_tests machine rows ratios whole phases start scaling targets errors"
     assert set(written) == set(parts.split())
     assert {row["name"] for row in written["rows"]} == {n for names in ROWS.values() for n in names} | {
-        "iteration", "iteration, warm-up",
+        "iteration", "iteration, warm-up", "whole run",
     }  # fmt: skip
     assert {t["name"] for t in written["null_tests"]} == {"Adam, memory", "sampling, arithmetic"}
     assert written["start"]["cold"]["modules"].keys() >= {"motion", "packets", "cosine"}
     assert len(written["targets"]) == 5
-    for words in ("null test", "iteration / cKDTree", "Where an iteration goes", "at most", "GB/s"):
+    for words in ("null test", "iteration / cKDTree", "Where an iteration goes", "at most", "GB/s", "A whole run"):
         assert words in shown
 
     assert run([*common, "--only", "Adam", "--json", str(again), "--compare", str(file)]) == 0

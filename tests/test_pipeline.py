@@ -117,6 +117,8 @@ def test_the_report_tells_what_was_done(clouds, template, device: str) -> None:
     assert json.loads(json_text(report)) is not None
     assert report["iterations"] == 30 and report["refine"]["rounds"] == 3 and not report["interrupted"]
     assert set(report["seconds"]) == {"template", "compile", "optimise", "refine", "assess"}
+    assert set(report["cpu_seconds"]) == set(report["seconds"])
+    assert all(seconds > 0 for seconds in report["cpu_seconds"].values())
     assert set(report["losses"]) == {"input", "total"}
     assert report["refine"]["frames_followed"] == [t for t in range(4) if t != report["keyframe"]]
     assert report["solver"]["sobolev"]["name"] == "cosine" and report["solver"]["refine"]["not_converged"] == 0

@@ -284,6 +284,7 @@ def _report(
         "refine": vertex_stage,
         "solver": {stage: solves.as_dict() for stage, solves in stages.items()},
         "seconds": dict(clock.seconds),
+        "cpu_seconds": dict(clock.cpu_seconds),
         "memory_estimate_mb": round(estimate.total / 2**20, 1),
         "peak_memory_mb": round(peak_memory_mb(), 1),
         "device_memory": device_memory(device),

@@ -39,20 +39,25 @@ Callback = Callable[[Progress], None]
 
 
 class Clock:
-    """Seconds by phase; ``begun`` is when it was made, on the performance counter."""
+    """Seconds by phase; ``begun`` is when it was made, on the performance counter.
+
+    cpu_seconds: processor time of all threads by phase, of this process alone: not of a run that this one goes on from.
+    """
 
     def __init__(self, seconds: Mapping[str, float] | None = None) -> None:
         self.begun = time.perf_counter()
         self.seconds: dict[str, float] = dict(seconds or {})
+        self.cpu_seconds: dict[str, float] = {}
         self._running: tuple[str, float] | None = None
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
         """Add the time of the block to ``name``."""
-        self._running = name, time.perf_counter()
+        self._running, processor = (name, time.perf_counter()), time.process_time()
         try:
             yield
         finally:
+            self.cpu_seconds[name] = self.cpu_seconds.get(name, 0.0) + time.process_time() - processor
             self.seconds = self.so_far()
             self._running = None
 

@@ -8,6 +8,7 @@ The report, which ``--json`` writes:
     machine        copy_gb_per_s and peak_gflop_per_s, by thread count
     rows           [{name, size, threads, unit, elements, ms, ms_low, ms_high, ..., peers: [...], error}]
     ratios         the iteration over cKDTree, by size and thread count
+    whole          [{size, threads, cpu_s, stages: {stage: {cpu_s, wall_s}}, ckdtree_s, ratio, peak_mb, ...}]
     phases         milliseconds of an iteration by phase, and by kernel on one thread
     start          {cold, warm}: seconds to the first iteration, by part and module, and memory
     scaling        [{field, threads, points: [...], exponents, within}]
@@ -40,11 +41,13 @@ from warpdef.apps.benchmark.sizes import (
     SWEEPS,
     SWEEPS_QUICK,
     TARGETS,
+    WHOLE,
     WORK,
     Size,
     selection,
 )
 from warpdef.apps.benchmark.timing import QUICK, Effort
+from warpdef.apps.benchmark.whole import whole_row, whole_run
 from warpdef.device import find_device, is_cuda, team_size, usable_cores
 from warpdef.errors import InputError
 
@@ -81,7 +84,7 @@ def run_bench(options: Options, tell: Callable[[str], None] = lambda text: None)
     report: dict = {
         "schema": SCHEMA,
         "environment": environment(device, most),
-        **{key: [] for key in ("null_tests", "rows", "ratios", "phases", "scaling", "targets", "errors")},
+        **{key: [] for key in ("null_tests", "rows", "ratios", "whole", "phases", "scaling", "targets", "errors")},
         "machine": {},
         "start": {},
     }
@@ -125,6 +128,12 @@ def run_bench(options: Options, tell: Callable[[str], None] = lambda text: None)
                     kernels = results["kernels"] or kernel_milliseconds_cuda(work, size, device)
                     spent = {"phases": results["phases"], "kernels": kernels}
                     report["phases"].append({"size": size.name, "threads": threads, **spent})
+            if WHOLE in wanted:
+                for threads in counts:
+                    tell(f"whole run, size {size.name}, {threads} threads, in a process of its own")
+                    found = whole_run(work, size, device.alias, threads, Path(folder))
+                    report["whole"].append(found)
+                    report["rows"].append(whole_row(found, work))
         if "start" in wanted:
             tell("start and compile time, in processes of their own")
             report["start"] = starts(source, main_size(sizes), device.alias, most, Path(folder))

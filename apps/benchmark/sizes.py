@@ -76,8 +76,10 @@ ROWS = {
     ),
 }
 """Rows of kernels by group."""
-PARTS = ("iteration", "start")
-"""What else is measured: the whole iteration against cKDTree; start, compile time and memory."""
+WHOLE = "whole run"
+PARTS = ("iteration", WHOLE, "start")
+"""What else is measured: the whole iteration against cKDTree; a whole run against one pass of cKDTree; start, compile
+time and memory."""
 
 SWEEPS = {
     "points": (2_500, 5_000, 10_000, 25_000, 50_000, 100_000),

@@ -22,6 +22,8 @@ def print_report(report: Mapping[str, Any]) -> None:
         print_table(_rows(report["rows"]))
     if report["ratios"]:
         print_table(_ratios(report["ratios"]))
+    for whole in report.get("whole", ()):
+        print_table(_whole(whole))
     for spent in report["phases"]:
         print_table(_shares(spent))
     if report["start"]:
@@ -100,6 +102,21 @@ def _ratios(ratios: Sequence[Mapping[str, Any]]) -> Table:
         ratio = (f"{r['ratio']:.3f}", f"{r['ratio_best']:.3f}")
         same = r["error"] or "yes"
         table.add_row(r["size"], str(r["threads"]), _number(r["iteration_ms"]), *theirs, *ratio, same)
+    return table
+
+
+def _whole(whole: Mapping[str, Any]) -> Table:
+    threads = f"{whole['threads']} thread{'s' if whole['threads'] > 1 else ''}"
+    size = f"{whole['frames']} frames, {whole['points']} points each, {whole['vertices']} vertices"
+    table = _table(f"A whole run: {whole['size']}, {threads}; {size}", "stage", ">CPU s", ">s")
+    for name, spent in whole["stages"].items():
+        table.add_row(name, _number(spent["cpu_s"]), _number(spent["wall_s"]))
+    table.add_row("start, reading and writing", *(_number(whole["others"][key]) for key in ("cpu_s", "wall_s")))
+    table.add_section()
+    table.add_row("in all", _number(whole["cpu_s"]), _number(whole["wall_s"]))
+    table.add_row("one pass of neighbours by cKDTree", _number(whole["ckdtree_s"]), "")
+    table.add_row("whole run / pass", f"{whole['ratio']:.1f}", "")
+    table.add_row("peak of the process, MB", _number(whole["peak_mb"]), "")
     return table
 
 
