@@ -109,7 +109,7 @@ def test_iteration_against_trees(work: Work) -> None:
 def test_a_whole_run_over_one_pass_of_trees(work: Work, tmp_path: Path) -> None:
     found = whole_run(work, TINY, "cpu", 1, tmp_path)
     assert (found["frames"], found["points"]) == (3, 200) and 0 < found["vertices"] <= 302
-    assert set(found["stages"]) == {"template", "compile", "optimise", "refine", "assess"}
+    assert set(found["stages"]) == {"clean", "template", "compile", "optimise", "refine", "assess"}
     parts = [*found["stages"].values(), found["others"]]
     for key in ("cpu_s", "wall_s"):
         assert found[key] == pytest.approx(sum(part[key] for part in parts))

@@ -116,7 +116,7 @@ def test_the_report_tells_what_was_done(clouds, template, device: str) -> None:
     report = warpdef.reconstruct(clouds, quick(), device=device, template=template).report
     assert json.loads(json_text(report)) is not None
     assert report["iterations"] == 30 and report["refine"]["rounds"] == 3 and not report["interrupted"]
-    assert set(report["seconds"]) == {"template", "compile", "optimise", "refine", "assess"}
+    assert set(report["seconds"]) == {"clean", "template", "compile", "optimise", "refine", "assess"}
     assert set(report["cpu_seconds"]) == set(report["seconds"])
     assert all(seconds > 0 for seconds in report["cpu_seconds"].values())
     assert set(report["losses"]) == {"input", "total"}

@@ -111,7 +111,8 @@ def prepare(
     vertex_count = len(template.vertices) if template else saved.vertex_count if saved is not None else None
     estimate = require_memory(sizes, vertex_count, config, target, safeguards.memory_limit)
 
-    sequence = clean(sequence, config)
+    with clock.phase("clean"):
+        sequence = clean(sequence, config)
     if saved is not None:
         saved.require_input(sequence)
     return Prepared(sequence, template, config, target, saved, estimate, clock, landmarks)
