@@ -113,9 +113,12 @@ def reconstruct(
                 given = [n is not None or view is not None for n in sequence.normals]
                 keyframe = sequence.numbers.index(chosen.keyframe)
                 steady = replace(config, optimiser=config.optimiser.for_length(len(clouds)))
+                if sequence.order:  # no film
+                    steady = replace(steady, refine=replace(steady.refine, time=0.0))
                 ends = mesh.vertices, mesh.faces, keyframe
                 one_sided = view is not None
-                problem = Problem(clouds, normals, *ends, steady, target, given, one_sided, sequence.numbers)
+                times = None if sequence.order else sequence.numbers
+                problem = Problem(clouds, normals, *ends, steady, target, given, one_sided, times)
                 optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
                 refinement = (
                     Refinement(optimiser.objective, team, landmarks=landmarks) if config.refine.iterations else None

@@ -12,6 +12,7 @@ import warp as wp
 from warpdef.cleaning.crop import crop
 from warpdef.cleaning.far_points import drop_far
 from warpdef.cleaning.odd_frames import leave_out_odd
+from warpdef.cleaning.order import put_in_order
 from warpdef.cleaning.static_parts import tell_static_parts
 from warpdef.cleaning.static_planes import cut_static_planes
 from warpdef.cleaning.strays import drop_strays
@@ -146,6 +147,7 @@ def clean(sequence: PointSequence, config: Config) -> PointSequence:
         sequence = drop_strays(sequence)
     if config.cut_static:
         sequence = tell_static_parts(sequence)
-    if config.drop_odd_frames:
+    sequence = put_in_order(sequence)
+    if config.drop_odd_frames and not sequence.order:
         sequence = leave_out_odd(sequence)
     return sequence.subsample(config.points, config.seed) if config.points else sequence

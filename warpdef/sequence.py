@@ -39,6 +39,7 @@ class PointSequence:
     gaps:     the input's other frames; ``len(sequence)`` is T, ``frame_count`` counts them all
     notes:    further warnings about the input, one line each
     columns:  what was taken of the columns in the files and what was passed over; empty where they have none
+    order:    the input's frame number of each cloud where they are not ascending, T integers; else empty
 
     Build one with ``PointSequence.from_arrays``, which checks every frame.
     """
@@ -53,6 +54,7 @@ class PointSequence:
     notes: tuple[str, ...] = ()
     columns: str = ""
     colors: tuple[np.ndarray | None, ...] = ()
+    order: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return len(self.points)
@@ -64,7 +66,9 @@ class PointSequence:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """The input's frame number of each cloud, ascending, shape (T,)."""
+        """The input's frame number of each cloud, shape (T,); ascending but for scans ``in_order`` of their poses."""
+        if self.order:
+            return self.order
         missing = {gap.number for gap in self.gaps}
         return tuple(n for n in range(self.frame_count) if n not in missing)
 
@@ -116,7 +120,7 @@ class PointSequence:
         """What was done to the input, a line each, with the numbers of the frames."""
         lines = list(self.notes)
         numbers = self.numbers
-        inner = [g for g in self.gaps if numbers[0] < g.number < numbers[-1]]
+        inner = [g for g in self.gaps if min(numbers) < g.number < max(numbers)]
         outer = [g for g in self.gaps if g not in inner]
         for gaps, done in ((inner, "interpolated between the neighbours"), (outer, "that of the nearest frame")):
             if gaps:
@@ -241,7 +245,7 @@ class PointSequence:
             )
         gaps = {gap.number: gap for gap in self.gaps}
         kept = tuple(replace(gaps[old], number=new) for new, old in enumerate(order) if old in gaps)
-        return replace(self._chosen(chosen), gaps=kept)
+        return replace(self._chosen(chosen), gaps=kept, order=())
 
     def without(self, reasons: Mapping[int, str]) -> PointSequence:
         """The sequence with further gaps: why by frame number, one sentence each.
@@ -256,9 +260,14 @@ class PointSequence:
         gaps = [*self.gaps, *(Gap(number, names[number], why) for number, why in reasons.items())]
         return replace(self._chosen(left), gaps=tuple(sorted(gaps, key=lambda gap: gap.number)))
 
+    def in_order(self, order: Sequence[int], note: str) -> PointSequence:
+        """The clouds in another order, that of their places (T,); each keeps its number. With a note that says so."""
+        moved = replace(self, order=self.numbers)._chosen(order)
+        return replace(moved, notes=(*self.notes, note))
+
     def _chosen(self, frames: Sequence[int]) -> PointSequence:
         """The clouds at these places, with the gaps as they are."""
-        columns = ("points", "normals", "colors", "names", "merged", "dropped", "disowned")
+        columns = ("points", "normals", "colors", "names", "merged", "dropped", "disowned", "order")
         return replace(
             self,
             **{name: tuple(values[t] for t in frames) if (values := getattr(self, name)) else () for name in columns},

@@ -27,7 +27,7 @@ def fill_gaps(
 
     Args:
         vertices: of the fitted frames, shape (T, V, 3).
-        numbers: their frame numbers, ascending, shape (T,).
+        numbers: their frame numbers, shape (T,), in any order.
         frame_count: frames of the input.
         faces: triangles, shape (F, 3); None: points that belong to no mesh.
 
@@ -35,6 +35,9 @@ def fill_gaps(
         Shape (frame_count, V, 3); the fitted frames unchanged to the bit.
     """
     fitted = np.asarray(numbers)
+    if (np.diff(fitted) < 0).any():
+        order = np.argsort(fitted)
+        vertices, fitted = vertices[order], fitted[order]
     if len(fitted) == frame_count:
         return vertices
     filled = np.empty((frame_count, *vertices.shape[1:]), dtype=vertices.dtype)

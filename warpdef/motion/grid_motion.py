@@ -28,7 +28,7 @@ class GridMotion:
     finest:      last level
     keyframe:    frame from which the steps lead away
     into:        input units to cube units
-    frames:      numbers of the fitted frames, ascending, S + 1 of them
+    frames:      numbers of the fitted frames, S + 1 of them, in the order in which the steps lead from one to the next
     frame_count: frames of the input, T; more where some had no points
     """
 
@@ -51,11 +51,10 @@ class GridMotion:
         numbers = [self.step, self.into.scale, *np.ravel(self.into.centre)]
         if not np.isfinite(numbers).all() or not (self.step > 0.0 and self.into.scale > 0.0 and len(numbers) == 5):
             raise InputError("the motion's grids: expected a step and a scale above 0 and a finite centre")
-        numbers = [-1, *self.frames, self.frame_count]
-        ascending = all(a < b for a, b in zip(numbers[:-1], numbers[1:], strict=True))
-        if len(self.frames) != len(self.nodes) + 1 or not ascending or self.keyframe not in self.frames:
+        known = len(set(self.frames)) == len(self.frames) and all(0 <= t < self.frame_count for t in self.frames)
+        if len(self.frames) != len(self.nodes) + 1 or not known or self.keyframe not in self.frames:
             raise InputError(
-                f"the motion's grids: expected {len(self.nodes) + 1} ascending frames below {self.frame_count} with "
+                f"the motion's grids: expected {len(self.nodes) + 1} different frames below {self.frame_count} with "
                 f"the keyframe among them, got {self.frames} and keyframe {self.keyframe}"
             )
 

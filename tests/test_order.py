@@ -1,0 +1,88 @@
+"""Scans in no order are found out and put in order by their poses; films are left alone, however they move."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from synthetic import bending_bar, icosphere, turning_ellipsoid
+
+from warpdef.cleaning.order import LEAST_FRAMES, order_by_pose, put_in_order
+from warpdef.config import Config
+from warpdef.geometry.poses import differences, pose_fields
+from warpdef.motion.gaps import fill_gaps
+from warpdef.prepare import clean
+from warpdef.sequence import PointSequence
+
+FRAMES = 13
+
+
+@pytest.fixture
+def bar(rng: np.random.Generator) -> list[np.ndarray]:
+    return list(bending_bar(FRAMES, 600, rng).clouds)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_shuffled_film_comes_back_in_its_order(bar: list[np.ndarray], seed: int) -> None:
+    shuffled = np.random.default_rng(seed).permutation(FRAMES)
+    order = order_by_pose([bar[t] for t in shuffled])
+    assert order is not None
+    found = shuffled[order].tolist()
+    assert found in (list(range(FRAMES)), list(range(FRAMES))[::-1])
+
+
+def test_films_stay_as_they_are(bar: list[np.ndarray], rng: np.random.Generator) -> None:
+    still = [cloud + rng.normal(scale=0.02, size=cloud.shape) for cloud in [bar[0]] * FRAMES]
+    slip = [cloud + [2.0 * (t == 5), 0, 0] for t, cloud in enumerate(bar)]
+    takes = [*bar[:5], *(cloud + [3.0, 0, 0] for cloud in bar[5:])]
+    turning = turning_ellipsoid(FRAMES, 500, rng).clouds
+    for film in (bar, bar[::-1], [*bar, *bar[-2::-1], *bar], still, slip, takes, turning):
+        assert order_by_pose(film) is None
+
+
+def test_few_scans_tell_too_little(bar: list[np.ndarray]) -> None:
+    shuffled = [bar[t] for t in np.random.default_rng(0).permutation(FRAMES)]
+    assert order_by_pose(shuffled[: LEAST_FRAMES - 1]) is None
+
+
+def test_branches_of_poses_are_walked_one_after_the_other(rng: np.random.Generator) -> None:
+    """A ball that goes off in three directions from one place, far, farther, farthest."""
+    ball = icosphere(3)[0]
+    ways = [np.eye(3)[axis] * step for axis, steps in enumerate((3, 5, 7)) for step in range(1, steps + 1)]
+    poses = np.array([np.zeros(3), *ways])
+    shuffled = np.random.default_rng(1).permutation(len(poses))
+    order = order_by_pose([ball + poses[t] for t in shuffled])
+    assert order is not None
+    found = poses[shuffled[order]]
+    back = np.flatnonzero(np.linalg.norm(np.diff(found, axis=0), axis=1) > 1.5)
+    assert 1 <= len(back) <= 2 and sorted(order) == list(range(len(poses)))
+
+
+def test_fields_know_poses_and_hardly_see_samples(rng: np.random.Generator) -> None:
+    scene = bending_bar(5, 2000, rng)
+    fields, halves = pose_fields([*scene.clouds, *bending_bar(5, 2000, np.random.default_rng(9)).clouds])
+    same = differences(fields, np.arange(5), np.arange(5, 10))
+    other = differences(fields, np.arange(4), np.arange(6, 10))
+    assert (same < halves).all() and (other > 2.0 * same[:4]).all()
+
+
+def test_numbers_stay_with_their_clouds_and_one_line_says_so(bar: list[np.ndarray]) -> None:
+    shuffled = np.random.default_rng(2).permutation(FRAMES)
+    given = PointSequence.from_arrays([bar[0][:0], *(bar[t] for t in shuffled)])
+    sequence = put_in_order(given)
+    assert sorted(sequence.numbers) == list(given.numbers) and sequence.numbers != given.numbers
+    for before, after in zip(given.all_frames(), sequence.all_frames(), strict=True):
+        np.testing.assert_array_equal(before, after)
+    assert given.frame_names == sequence.frame_names
+    assert len([line for line in sequence.warnings if "in no order" in line]) == 1
+    assert sequence.select(slice(1, 5)).numbers == (0, 1, 2, 3)
+    without = sequence.without({sequence.numbers[3]: "a trial"})
+    assert without.numbers == sequence.numbers[:3] + sequence.numbers[4:]
+    placed = np.array(sequence.numbers, dtype=float)[:, None, None] * np.ones((1, 2, 3))
+    np.testing.assert_array_equal(fill_gaps(placed, sequence.numbers, 14)[1:, 0, 0], np.arange(1, 14))
+
+
+def test_cleaning_puts_scans_in_order_before_it_looks_for_odd_ones(bar: list[np.ndarray]) -> None:
+    shuffled = [bar[t] for t in np.random.default_rng(2).permutation(FRAMES)]
+    sequence = clean(PointSequence.from_arrays(shuffled), Config())
+    assert len(sequence) == FRAMES and len(sequence.order) == FRAMES
+    assert not clean(PointSequence.from_arrays(bar), Config()).order
