@@ -45,6 +45,7 @@ def other_value(key: str, default: object) -> object:
         "template.depth": 9,
         "refine.noisy_thickness": 0.7,
         "colours": "moving",
+        "order": "time",
         "landmarks": "known.csv",
         "columns": "x,y,z",
         "crop": "0:1,:,:",

@@ -105,3 +105,13 @@ def test_empty_frames_are_no_keyframes(rng):
     assert sorted(c.frame for c in rank_keyframes(clouds, KeyframeConfig())) == [0, 2]
     with pytest.raises(InputError, match="frame 1 has no usable points"):
         rank_keyframes(clouds, KeyframeConfig(choice="1"))
+
+
+def test_the_middle_is_as_wide_a_share_of_a_long_film_and_of_scans_in_no_order() -> None:
+    config = KeyframeConfig(voxels=8, gamma=0.01)
+    weight = {c.frame: c.weight for c in rank_keyframes(clouds_of([10] * 85), config)}
+    assert weight[0] == weight[84] == pytest.approx(np.exp(-0.01 * 42**2 / 25))
+    alone = rank_keyframes(clouds_of([10] * 85), KeyframeConfig(voxels=8, gamma=0.01, gamma_fall=0.0))
+    assert {c.frame: c.weight for c in alone}[0] == pytest.approx(np.exp(-0.01 * 42**2))
+    ranked = rank_keyframes(clouds_of([10] * 5), config, np.array([3, 0, 4, 2, 1]))
+    assert [c.frame for c in ranked] == [3, 0, 4, 1, 2]

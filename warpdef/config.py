@@ -34,6 +34,8 @@ class KeyframeConfig:
     """Cells an axis of the grid in which occupied voxels are counted."""
     gamma: float = 0.001
     """Gaussian weight exp(-gamma (t - T/2)^2) that favours the temporal middle."""
+    gamma_fall: float = 2.0
+    """Beyond 17 frames T gamma is (17 / T)^gamma_fall of that; with 2 the middle is as wide a share of any film."""
     coverage_min: float = 0.87
     """Share of the fullest frame's area from which a frame counts as complete: others are no keyframes if these can be,
     and what they do not show does not pull."""
@@ -44,6 +46,7 @@ class KeyframeConfig:
         require(known, "keyframe.choice", "auto, first, middle or an index from 0", self.choice)
         require(1 <= self.voxels <= 1024, "keyframe.voxels", "1 to 1024", self.voxels)
         require(self.gamma >= 0, "keyframe.gamma", "a number from 0", self.gamma)
+        require(0 <= self.gamma_fall <= 2, "keyframe.gamma_fall", "0 to 2", self.gamma_fall)
         require(0 <= self.coverage_min <= 1, "keyframe.coverage_min", "0 to 1", self.coverage_min)
         require_sane(self, "keyframe.")
 
@@ -279,7 +282,7 @@ class RefineConfig:
     landmark_weight: float = 10.0
     """Weight of a landmark against one point-to-plane residual (see ``landmarks``)."""
     time: float = 4.0
-    """Weight of a vertex's smooth place in time, in the patch of surface around it; 0 for scans in no order."""
+    """Weight of a vertex's smooth place in time, in the patch of surface around it; 0 for none."""
     damping: float = 0.001
     """Weight that holds a vertex where it was at the start of a round."""
     reach: float = 3.0
@@ -344,6 +347,9 @@ class Config:
     """Colours of the clouds on the mesh: ``still``, a median over the frames; ``moving``, of each frame; ``off``."""
     drop_odd_frames: bool = True
     """Leave out frames that are unlike their neighbours while those are alike; their meshes are interpolated."""
+    order: Literal["auto", "time"] = "auto"
+    """``time``: frames are a film; ``auto``: scans in no order are found out, put in order by their poses, and not
+    smoothed in time."""
     fill: float = 0.95
     """Half the side of the cube that the sequence's bounding box fills."""
     seed: int = 0
@@ -361,6 +367,7 @@ class Config:
         parse_box(self.crop)
         require(self.points == 0 or self.points >= 10, "points", "0 (all) or at least 10", self.points)
         require(self.colours in ("still", "moving", "off"), "colours", "still, moving or off", self.colours)
+        require(self.order in ("auto", "time"), "order", "auto or time", self.order)
         vertex_stage = not self.landmarks or self.refine.iterations > 0
         require(vertex_stage, "landmarks", "refine.iterations above 0 with them", self.refine.iterations)
         require(0 < self.fill <= 1, "fill", "above 0, up to 1", self.fill)

@@ -187,7 +187,7 @@ def _template(
     # Frames are numbered as in the input: one without usable points is an empty cloud.
     clouds = [into.to_cube(p) for p in sequence.all_frames()]
     if mine is None:
-        return choose_template(clouds, sequence.all_normals(), config, view)
+        return choose_template(clouds, sequence.all_normals(), config, view, sequence.places)
     chosen = accept_user_template(mine, clouds, config)
     return replace(chosen, warnings=[*notes, *chosen.warnings])
 

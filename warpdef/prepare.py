@@ -147,7 +147,8 @@ def clean(sequence: PointSequence, config: Config) -> PointSequence:
         sequence = drop_strays(sequence)
     if config.cut_static:
         sequence = tell_static_parts(sequence)
-    sequence = put_in_order(sequence)
+    if config.order == "auto":
+        sequence = put_in_order(sequence)
     if config.drop_odd_frames and not sequence.order:
         sequence = leave_out_odd(sequence)
     return sequence.subsample(config.points, config.seed) if config.points else sequence

@@ -26,6 +26,8 @@ def preset(name: str) -> Config:
         cut_static=False,
         drop_strays=False,
         drop_odd_frames=False,
+        order="time",
+        keyframe=replace(base.keyframe, gamma_fall=0.0),
         grid=replace(base.grid, prune=True),
         sobolev=replace(base.sobolev, solver="cg"),
         loss=replace(base.loss, tangential=1.0),

@@ -73,6 +73,15 @@ class PointSequence:
         return tuple(n for n in range(self.frame_count) if n not in missing)
 
     @property
+    def places(self) -> np.ndarray | None:
+        """Place of each of the input's frames among scans ``in_order``, shape (frame_count,); None for a film."""
+        if not self.order:
+            return None
+        places = np.full(self.frame_count, self.frame_count)  # a gap's is never asked
+        places[list(self.order)] = np.arange(len(self.order))
+        return places
+
+    @property
     def frame_names(self) -> tuple[str, ...]:
         """Names of all frames of the input, gaps included."""
         names = dict(zip(self.numbers, self.names, strict=True)) | {gap.number: gap.name for gap in self.gaps}

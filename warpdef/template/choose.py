@@ -47,6 +47,7 @@ def choose_template(
     normals: Sequence[np.ndarray | None],
     config: Config,
     view: np.ndarray | None = None,
+    places: np.ndarray | None = None,
 ) -> ChosenTemplate:
     """Build templates on the best keyframes, in order, until one passes the quality gate and has no handle.
 
@@ -63,13 +64,14 @@ def choose_template(
         normals: one array a frame, each (N_t, 3), unit length, or None where unknown.
         config: the whole configuration; ``seed``, ``keyframe`` and ``template`` matter here.
         view: shape (3,), towards the one camera that saw all clouds, which tells the side of normals; None: no such.
+        places: as in ``rank_keyframes``.
 
     Raises:
         InputError: the keyframe asked for does not exist, or no surface came out of any frame tried.
         MissingPackageError: the library for the reconstruction is not there.
     """
     backend = load_backend(config.template.backend)
-    candidates = spread_out(rank_keyframes(clouds, config.keyframe), config.template.attempts)
+    candidates = spread_out(rank_keyframes(clouds, config.keyframe, places), config.template.attempts)
     attempts = []
     for candidate in candidates:
         if normals[candidate.frame] is not None:

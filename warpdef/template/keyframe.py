@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warpdef.config import KeyframeConfig
+from warpdef.config import BASE_FRAMES, KeyframeConfig
 from warpdef.errors import InputError
 from warpdef.geometry.coverage import area_and_objects, complete_frames, shares_of_fullest
 
@@ -58,10 +58,13 @@ def require_keyframe(config: KeyframeConfig, frame_count: int) -> None:
         )
 
 
-def rank_keyframes(clouds: Sequence[np.ndarray], config: KeyframeConfig) -> list[KeyframeCandidate]:
+def rank_keyframes(
+    clouds: Sequence[np.ndarray], config: KeyframeConfig, places: np.ndarray | None = None
+) -> list[KeyframeCandidate]:
     """Candidates, best first: all frames for ``auto``, one for ``first``, ``middle`` or an index.
 
-    The score is |G(P_t)| exp(-gamma (t - T/2)^2), T the last frame's index, so that the weight is 1 in the true middle.
+    The score is |G(P_t)| exp(-gamma (t - T/2)^2), T the last frame's index, so that the weight is 1 in the true middle;
+    gamma falls with the length of the film (``gamma_fall``).
     Equal scores go to the frame nearer the middle, then to the earlier one. Frames that show less than ``coverage_min``
     of what the fullest frame shows come after all others; among the full ones, those in which most objects lie apart
     come first, as objects that touch would become one.
@@ -69,6 +72,7 @@ def rank_keyframes(clouds: Sequence[np.ndarray], config: KeyframeConfig) -> list
     Args:
         clouds: one array a frame, each (N_t, 3), cube units, free of outliers.
         config: the choice, the grid, gamma and the least coverage.
+        places: of the frames where these are in no order, (T,), to be near the middle of; None: their times.
 
     Raises:
         InputError: an index that is not a frame of the sequence, or one without points.
@@ -87,13 +91,15 @@ def rank_keyframes(clouds: Sequence[np.ndarray], config: KeyframeConfig) -> list
 
     area, sizes, objects = compare_frames([clouds[frame] for frame in frames])
     coverage, complete = shares_of_fullest(area, sizes), complete_frames(area, sizes, config.coverage_min)
+    places = np.arange(frame_count) if places is None else places
+    gamma = config.gamma * (BASE_FRAMES / max(frame_count, BASE_FRAMES)) ** config.gamma_fall
     scored = []
     for frame, seen, full, apart in zip(frames, coverage, complete, objects, strict=True):
         occupied = occupied_voxels(clouds[frame], config.voxels)
-        weight = float(np.exp(-config.gamma * (frame - middle) ** 2))
+        weight = float(np.exp(-gamma * (places[frame] - middle) ** 2))
         score = occupied * weight
         scored.append(KeyframeCandidate(frame, occupied, weight, score, float(seen), bool(full), int(apart), ""))
-    scored.sort(key=lambda c: (*c.standing, -c.score, abs(c.frame - middle), c.frame))
+    scored.sort(key=lambda c: (*c.standing, -c.score, abs(places[c.frame] - middle), c.frame))
     full = [c for c in scored if c.full]
     ranked = []
     for rank, candidate in enumerate(scored):
