@@ -126,6 +126,27 @@ def _move_vertices(
     move_vertex(nodes, transition, levels, level_count, i, source, target, vertices, rotation_out, jacobian_out)
 
 
+@sizes("threads: V; transition: <S; source target: <T; nodes: S M; levels: 2*L; level_count: L; vertices: T V")
+@wp.kernel
+def _place_vertices(
+    # In:
+    begin: int,
+    transition: int,
+    source: int,
+    target: int,
+    nodes: wp.array2d[node8],
+    levels: wp.array[wp.int32],
+    level_count: int,
+    # In and out: row source is read, row target written
+    vertices: wp.array2d[wp.vec3],
+):
+    """One thread a vertex, one step of the chain that nothing goes back through; the same bits as with a way back."""
+    i = begin + wp.tid()
+    x = vertices[source, i]
+    s = sample_with_derivative(nodes, transition, levels, level_count, x[0], x[1], x[2])
+    vertices[target, i] = rotate(wp.vec3(s[0, 0], s[0, 1], s[0, 2]), x) + wp.vec3(s[0, 3], s[0, 4], s[0, 5])
+
+
 @sizes(
     "threads: V; transition: <S; source target: <T; carry_target carry_source: <T+1; vertices adj_weighed "
     "adj_plain: T V; rotation jacobian adj_motion_out: S V; confidence: T; carry: T+1 V"
@@ -214,6 +235,15 @@ def move_vertices(
     """
     inputs = [begin, transition, source, target, nodes, levels, len(levels) // 2, vertices, rotation_out, jacobian_out]
     launch(_move_vertices, count, inputs, nodes.device)
+
+
+def place_vertices(
+    begin: int, count: int, transition: int, source: int, target: int, nodes: wp.array, levels: wp.array,
+    vertices: wp.array,
+) -> None:  # fmt: skip
+    """``move_vertices`` where no gradient is asked for: nothing is left for a way back."""
+    inputs = [begin, transition, source, target, nodes, levels, len(levels) // 2, vertices]
+    launch(_place_vertices, count, inputs, nodes.device)
 
 
 def adj_move_vertices(

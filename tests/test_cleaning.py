@@ -7,6 +7,7 @@ import pytest
 from present import present
 from synthetic import bending_bar, icosphere, sample_surface
 
+from warpdef.cleaning import strays
 from warpdef.cleaning.strays import drop_strays, inlier_mask
 from warpdef.sequence import PointSequence
 
@@ -36,6 +37,16 @@ def test_a_clean_cloud_loses_nothing(rng, count):
     for _ in range(5):
         assert inlier_mask(body(rng, count)).all()
         assert inlier_mask(bending_bar(2, count, rng).clouds[1]).all()
+
+
+def test_what_half_of_the_links_hold_together_needs_no_second_look(rng, monkeypatch):
+    def second_look(*_) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(strays, "_hangs_together", second_look)
+    assert inlier_mask(body(rng, 3000)).all()
+    with pytest.raises(AssertionError):
+        inlier_mask(with_strays(body(rng, 3000), 0.05, rng))
 
 
 def test_an_uneven_cloud_loses_nothing(rng):

@@ -11,7 +11,14 @@ from gradients import along, assert_gradients_close, finite_differences, gradien
 
 from warpdef.kernels.chains import adj_move_chains, move_chains, routes_of
 from warpdef.kernels.levels import LevelTable, node8
-from warpdef.kernels.motion import adj_move_points, adj_move_vertices, move_points, move_vertices, scatter_vertices
+from warpdef.kernels.motion import (
+    adj_move_points,
+    adj_move_vertices,
+    move_points,
+    move_vertices,
+    place_vertices,
+    scatter_vertices,
+)
 
 LEVELS = reference.resolutions(1, 3)
 NODES = int(reference.offsets(LEVELS)[-1])
@@ -125,6 +132,16 @@ class GridChain:
                 span = (s * self.count, self.count)
                 scatter_vertices(*span, a.levels, self.routes.source, self.vertices, adj_motion, adj_nodes)
         return adj_nodes.numpy()[..., :6], carry.numpy()[1] + carry.numpy()[4]
+
+
+def test_vertices_that_nothing_goes_back_through_have_the_same_places(arrays: Arrays, rng: np.random.Generator) -> None:
+    template = points_in_cube(40, rng)
+    chain = GridChain(arrays, random_nodes(3, rng), template)
+    alone = arrays.vectors(np.tile(template, (4, 1, 1)))
+    for s, source, target in chain.forward + chain.backward:
+        place_vertices(0, 40, s, source, target, chain.nodes, arrays.levels, alone)
+    assert np.abs(alone.numpy() - template).max() > 0.01
+    np.testing.assert_array_equal(alone.numpy(), chain.vertices.numpy())
 
 
 def test_all_transitions_at_once_are_one_after_the_other(arrays: Arrays, rng: np.random.Generator) -> None:

@@ -18,13 +18,15 @@ import warp as wp
 from warpdef.config import Config
 from warpdef.device import is_cuda
 from warpdef.errors import InputError
-from warpdef.fit.pool import MATRIX, NODE, VECTOR
+from warpdef.fit.pool import INDEX, MATRIX, NODE, VECTOR
 from warpdef.fit.terms import VERTEX_TERMS
 from warpdef.kernels.cells import CELLS_MAX
 
 GIB = 2**30
 _PROCESS = 300 * 2**20  # interpreter, Warp's compiler, loaded kernels, libraries
 _OTHERS = ("grids", "input term")  # owners in the pool that do not grow with the vertices
+_SORTED, _SEARCH = 2 * VECTOR + 2 * INDEX, VECTOR + 2 * INDEX + 8  # bytes of a target and of a query
+_TEMPLATE_VERTEX = 700  # bytes of the template alone: graph, edges, patches, factor; measured
 _TEMPLATE_POINT = 4_000  # bytes a keyframe point takes in screened Poisson and remeshing, measured
 
 
@@ -64,44 +66,67 @@ def estimate_memory(points: Sequence[int], vertices: int, config: Config, cuda: 
         cuda: whether it runs on such a device.
     """
     frames, total, largest = len(points), sum(points), max(points)
+    guided = _guided(points, config)
     pooled = pooled_bytes(points, vertices, config)
     nodes = _nodes(config) * (frames - 1)
     direct = config.sobolev.solver == "cosine" or (config.sobolev.solver == "auto" and not config.grid.prune)
     # Beyond the pool a node takes what is kept to go back to (4 of 8 float32), and the solvers: scratch of the
     # transforms (2, on CUDA), or conjugate gradients (8, kept 2) with 6 neighbours a node.
     a_node = NODE * (4 + (2 if cuda else 0)) if direct else NODE * (4 + 8 + 2) + 2 * 4 * 9
-    # A vertex of a frame: two searches (110); the vertex stage adds matrices, rotations and conjugate gradients of 3x3
-    # blocks (260), and where a frame is incomplete the places expected (12).
-    a_vertex = 110 + (272 if config.refine.iterations else 0)
-    search_cells = 2 * min(8 * largest, CELLS_MAX) + min(8 * vertices, CELLS_MAX)
+    # A vertex of a frame is searched for and searches; the vertex stage adds matrices, rotations, normals, places to go
+    # back to and, where a frame is incomplete, expected; and the conjugate gradients of 3x3 blocks.
+    a_vertex = _SORTED + _SEARCH + INDEX
+    if config.refine.iterations:
+        a_vertex += 2 * MATRIX + 4 * VECTOR + MATRIX + 3 * VECTOR
+    per_point = 8 if cuda else 3
+
+    def cells(targets: int) -> int:
+        return INDEX * frames * min(per_point * targets, CELLS_MAX)
+
+    # A cloud's points: place, normal, frame; sorted, and searching; their normals as given.
+    of_points = (2 * VECTOR + INDEX + _SORTED + _SEARCH + VECTOR) * total + cells(largest)
+    # What grids are fitted to, if it is fewer, once more; then as it sets out, moved, sorted and searching.
+    few, apart = sum(guided), guided != list(points)
+    of_points += (2 * VECTOR + INDEX + _SORTED if apart else 0) * few + (cells(max(guided)) if apart else 0)
+    of_points += (_SEARCH + VECTOR + 2 * INDEX + _SORTED + _SEARCH) * few + cells(max(guided))
     return MemoryEstimate(
         process=_PROCESS,
-        # Points and normals as read, in the cube, and laid out behind each other: 3 float64 each.
-        clouds=24 * 9 * total,
-        # Where they are and where they come from, normals, and four searches.
-        points=164 * total + 4 * frames * search_cells + pooled["input term"],
+        # Points and normals as read, and once more in the cube and laid out behind each other: 3 float64 each.
+        clouds=24 * 6 * total,
+        points=of_points + pooled["input term"],
         grids=a_node * nodes + pooled["grids"],
-        vertices=a_vertex * vertices * frames + sum(pooled[owner] for owner in pooled if owner not in _OTHERS),
+        # A factor of the template's own system: some 40 entries a vertex.
+        vertices=a_vertex * vertices * frames
+        + cells(vertices)
+        + _TEMPLATE_VERTEX * vertices
+        + sum(pooled[owner] for owner in pooled if owner not in _OTHERS),
         template=_TEMPLATE_POINT * largest,
     )
+
+
+def _guided(points: Sequence[int], config: Config) -> list[int]:
+    """Points of each frame that grids are fitted to, at most."""
+    return [min(n, config.optimiser.points or n) for n in points]
 
 
 def pooled_bytes(points: Sequence[int], vertices: int, config: Config) -> dict[str, int]:
     """What the fit's pool hands out (``fit.pool``), by owner: at most, and exactly where all clouds are of one size."""
     frames, transitions = len(points), len(points) - 1
-    moved = sum(points) - points[0] - points[-1] + max(points)
+    guided, chain = _guided(points, config), config.optimiser.chain
+    moved = sum(guided) - guided[0] - guided[-1] + max(guided)
+    # Positions; where gradients come back what is carried, and rotation, Jacobian and six-vector of every move.
+    back = VECTOR * (frames + 1) + (VECTOR + MATRIX + NODE) * transitions
     return {
         # Values, gradients and moments.
         "grids": 6 * NODE * _nodes(config) * transitions,
         "shape": 6 * VECTOR * vertices,
-        # Positions and what is carried back; rotation, Jacobian and six-vector of every move.
-        "chain": vertices * (VECTOR * (2 * frames + 1) + (VECTOR + MATRIX + NODE) * transitions),
+        "chain": vertices * (VECTOR * frames + (back if chain else 0)),
         # The sums of the terms' gradients; of the vertex stage right-hand side, solution, and two places of a vertex.
         "lent": (4 if config.refine.iterations else 2) * VECTOR * vertices * frames,
         # Rotations, places, gradient.
         "input term": 3 * VECTOR * moved + 8 * transitions,
         "transform term": 8 * frames,
-        **{term.owner: term.bytes_of(frames, vertices) for term in VERTEX_TERMS},
+        **{term.owner: term.bytes_of(frames, vertices) for term in VERTEX_TERMS if chain},
     }
 
 

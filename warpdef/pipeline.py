@@ -86,12 +86,14 @@ def reconstruct(
 
     # Implementation Details: the whole sequence is normalised into the cube by one similarity.
     into = Similarity.into_cube(sequence.points, config.fill)
-    clouds = [into.to_cube(p) for p in sequence.points]
+
+    def in_cube() -> list[np.ndarray]:  # made anew where it is asked for: it need not stay
+        return [into.to_cube(p) for p in sequence.points]
 
     # Keyframe Selection: the frame with most surface near the middle, and screened Poisson on it.
     tell(Progress("template"))
     with clock.phase("template"):
-        view = viewing_direction(clouds) if any(n is None for n in sequence.normals) else None
+        view = viewing_direction(in_cube()) if any(n is None for n in sequence.normals) else None
         chosen = _template(sequence, template, into, config, saved, view)
     for warning in (*sequence.warnings, *chosen.warnings):
         tell(Progress("template", message=warning))
@@ -108,8 +110,8 @@ def reconstruct(
         tell(Progress("compile", message=told[-1] if told else ""))
         with closing(Team(team_size(target, threads))) as team, explained_shortage(estimate, target):
             with clock.phase("compile"):
+                clouds, mesh = in_cube(), chosen.mesh
                 normals = _surface_normals(clouds, sequence.normals, config, view)
-                mesh = chosen.mesh
                 given = [n is not None or view is not None for n in sequence.normals]
                 keyframe = sequence.numbers.index(chosen.keyframe)
                 steady = replace(config, optimiser=config.optimiser.for_length(len(clouds)))
@@ -120,6 +122,7 @@ def reconstruct(
                 times = None if sequence.order else sequence.numbers
                 problem = Problem(clouds, normals, *ends, steady, target, given, one_sided, times)
                 optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
+                del clouds, normals
                 refinement = (
                     Refinement(optimiser.objective, team, landmarks=landmarks) if config.refine.iterations else None
                 )
@@ -166,7 +169,7 @@ def reconstruct(
                 result.report["input"] = {"path": safeguards.notes.get("input", ""), "digests": facts["digests"]}
         return result
 
-    sizes = [len(p) for p in clouds]
+    sizes = [len(p) for p in sequence.points]
     return fit(config, []) if saved is not None else retried(fit, config, sizes, estimate, target)
 
 

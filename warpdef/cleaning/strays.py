@@ -52,11 +52,17 @@ def inlier_mask(points: np.ndarray) -> np.ndarray:
     every = np.ones(len(points), dtype=bool)
     if len(points) < LEAST_POINTS:
         return every
-    distance, index = cKDTree(points).query(points, k=GRAPH_NEIGHBOURS + 1)
+    tree, most = cKDTree(points), max(LEAST_STRAYS * len(points), 1)
+    distance, index = tree.query(points, k=SPACING_NEIGHBOURS + 1)
+    # More links join clusters and part none: what half of them hold together, all of them do.
+    labels = _clusters(distance[:, 1:], index[:, 1:], distance[:, SPACING_NEIGHBOURS], CAREFUL)
+    if len(points) - np.bincount(labels).max() <= most:
+        return every
+    distance, index = tree.query(points, k=GRAPH_NEIGHBOURS + 1)
     distance, index = distance[:, 1:], index[:, 1:]
     spacing = distance[:, SPACING_NEIGHBOURS - 1]
     inlier = _hangs_together(points, distance, index, spacing, CAREFUL)
-    if (~inlier).sum() <= max(LEAST_STRAYS * len(points), 1):
+    if (~inlier).sum() <= most:
         return every
     if _in_plane(points[~inlier], points[index[~inlier]], spacing[~inlier]).mean() > FALSE_ALARM:
         return every
@@ -74,13 +80,7 @@ def _hangs_together(
     points: np.ndarray, distance: np.ndarray, index: np.ndarray, spacing: np.ndarray, rule: tuple[float, float, int]
 ) -> np.ndarray:
     """Points of the main cluster and of other objects, shape (N,) bool."""
-    link, growth, rounds = rule
-    calm = spacing
-    for _ in range(rounds):
-        calm = np.minimum(spacing, growth * calm[index[:, :SPACING_NEIGHBOURS]].min(axis=1))
-    linked = distance <= link * np.minimum(calm[:, None], calm[index])
-    rows = np.repeat(np.arange(len(points)), linked.sum(axis=1))
-    labels = component_labels(rows, index[linked], len(points))
+    labels = _clusters(distance, index, spacing, rule)
     size = np.bincount(labels)
     main = int(size.argmax())
     usual = float(np.median(spacing[labels == main]))
@@ -91,6 +91,19 @@ def _hangs_together(
         sparser = float(np.median(spacing[inside])) / max(usual, 1e-300)
         keep[cluster] |= sparser < DENSE or (sparser < SPARSE and _thickness(points[index[inside]]) < FLAT)
     return keep[labels]
+
+
+def _clusters(
+    distance: np.ndarray, index: np.ndarray, spacing: np.ndarray, rule: tuple[float, float, int]
+) -> np.ndarray:
+    """Which cluster each point is linked to, shape (N,), by its neighbours (N, K), the nearest first."""
+    link, growth, rounds = rule
+    calm = spacing
+    for _ in range(rounds):
+        calm = np.minimum(spacing, growth * calm[index[:, :SPACING_NEIGHBOURS]].min(axis=1))
+    linked = distance <= link * np.minimum(calm[:, None], calm[index])
+    rows = np.repeat(np.arange(len(index)), linked.sum(axis=1))
+    return component_labels(rows, index[linked], len(index))
 
 
 def _in_plane(points: np.ndarray, near: np.ndarray, spacing: np.ndarray) -> np.ndarray:

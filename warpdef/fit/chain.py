@@ -9,7 +9,7 @@ from warpdef.device import Way
 from warpdef.fit.problem import Problem
 from warpdef.kernels.chains import adj_move_chains, move_chains, routes_of
 from warpdef.kernels.levels import node8
-from warpdef.kernels.motion import adj_move_vertices, move_vertices, scatter_vertices
+from warpdef.kernels.motion import adj_move_vertices, move_vertices, place_vertices, scatter_vertices
 
 
 class Chain:
@@ -19,16 +19,19 @@ class Chain:
         nodes, adj_nodes: shape (S, M) node8, the optimiser's: read, and added to.
 
     carry: shape (T + 1, V), the gradient that reaches a frame from those beyond it. Row T is the backward chain's at
-    the keyframe, which two chains reach.
+    the keyframe, which two chains reach. Where no gradient is asked for (``optimiser.chain`` false) nothing is kept for
+    one: ``carry`` and all that is of a transition have no rows.
     """
 
     def __init__(self, problem: Problem, nodes: wp.array, adj_nodes: wp.array) -> None:
         p = self._problem = problem
         self.nodes, self._adj_nodes = nodes, adj_nodes
         self.levels = p.levels.to_device(p.device)
-        frames, transitions, count = p.frame_count, len(p.transitions), p.vertex_count
+        self._differentiable = p.config.optimiser.chain
+        frames, count = p.frame_count, p.vertex_count
+        transitions, carried = (len(p.transitions), frames + 1) if self._differentiable else (0, 0)
         self.vertices, self.carry, self.rotation = p.pool.own(
-            "chain", wp.vec3, (frames, count), (frames + 1, count), (transitions, count)
+            "chain", wp.vec3, (frames, count), (carried, count), (transitions, count)
         )
         (self.jacobian,) = p.pool.own("chain", wp.mat33, (transitions, count))
         (self.adj_motion,) = p.pool.own("chain", node8, (transitions, count))
@@ -39,7 +42,7 @@ class Chain:
     def move(self, begin: int, count: int) -> None:
         """Vertices ``begin .. begin + count`` from the keyframe to both ends."""
         ends = self._problem.transitions
-        if self._problem.way is Way.WHOLE:
+        if self._problem.way is Way.WHOLE and self._differentiable:
             places = (self.vertices, self.rotation, self.jacobian)
             move_chains(self._routes, self.nodes, self.levels, *places)
             return
@@ -50,6 +53,9 @@ class Chain:
         """The same vertices over one transition, from its source to its target."""
         ends = self._problem.transitions
         source, target = int(ends.source[transition]), int(ends.target[transition])
+        if not self._differentiable:
+            place_vertices(begin, count, transition, source, target, self.nodes, self.levels, self.vertices)
+            return
         places = (self.vertices, self.rotation, self.jacobian)
         move_vertices(begin, count, transition, source, target, self.nodes, self.levels, *places)
 

@@ -22,16 +22,19 @@ import numpy as np
 
 from warpdef.fit.bending import Bending, SeenCloud
 from warpdef.fit.objective import Objective
+from warpdef.fit.problem import span
 from warpdef.fit.recover import Cloud, ConnectedSurface, Search
 from warpdef.fit.refine import Refinement
 from warpdef.geometry.cloud_normals import turned_to
 from warpdef.geometry.edges import edge_lengths
+from warpdef.geometry.sampling import spread_evenly
 from warpdef.geometry.triangles import vertex_normals
 from warpdef.kernels.ways import Way
 from warpdef.quality.shape import STRETCHED
 
 STRETCHED_MAX = 0.02
 """Share of such edges from which a frame went wrong, even if all points are covered."""
+_ASKED = 20_000  # points of a frame, evenly spread, that tell what is not covered: enough for any limb
 _LEAST = 1e-30  # of an edge's length: its logarithm is asked for
 
 
@@ -66,17 +69,25 @@ class _Walk:
     def __init__(self, objective: Objective, refinement: Refinement, stopped: Callable[[], object]) -> None:
         p = self.problem = objective.problem
         self.objective, self.refinement, self.stopped = objective, refinement, stopped
-        self.given = p.normals.numpy().copy()
-        self.points, self.normals = p.by_frame(p.cloud.numpy()), p.by_frame(self.given)
-        clouds = [
-            Cloud(points, normals, bool(sided), bool(sided))
-            for points, normals, sided in zip(self.points, self.normals, p.oriented, strict=True)
-        ]
+        self.given, self._places = p.normals.numpy().copy(), p.cloud.numpy()
+        clouds = [self._spread_cloud(t) for t in range(p.frame_count)]
         surface = ConnectedSurface.of(p.faces, p.edges.numpy())
         self.search = Search(objective.vertices.numpy().astype(np.float64), clouds, surface, p.transitions.keyframe)
         self.bent: set[int] = set()
         self._clouds, self._edges = clouds, surface.edges
         self._lengths = np.maximum(edge_lengths(p.template, self._edges), _LEAST)
+
+    def _points(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Points of a frame and their normals as given, (N_t, 3) float64 each."""
+        begin, count = span(self.problem.cloud_offsets, frame, frame + 1)
+        rows = slice(begin, begin + count)
+        return self._places[rows].astype(np.float64), self.given[rows].astype(np.float64)
+
+    def _spread_cloud(self, frame: int) -> Cloud:
+        """Those of them, evenly spread, that limbs are looked for by."""
+        points, normals = self._points(frame)
+        chosen, sided = spread_evenly(points, _ASKED), bool(self.problem.oriented[frame])
+        return Cloud(points[chosen], normals[chosen], sided, sided)
 
     @cached_property
     def bending(self) -> Bending:
@@ -92,7 +103,7 @@ class _Walk:
             source, target = int(ends.source[s]), int(ends.target[s])
             if self.stopped():
                 break
-            cloud = SeenCloud.of(self.points[target], self.normals[target])
+            cloud = SeenCloud.of(*self._points(target))
             poses[target] = bending.onto(cloud, poses[source])
             self.objective.vertices[target].assign(bending.place(poses[target]).astype(np.float32))
             self._lead(target)
@@ -128,7 +139,7 @@ class _Walk:
         """The start of a frame bent by its landmarks, where that leaves less."""
         if self.refinement.landmarks is not None:
             vertices = self.objective.vertices[frame]
-            led = self.refinement.landmarks.led(frame, vertices.numpy().astype(np.float64), self.points[frame])
+            led = self.refinement.landmarks.led(frame, vertices.numpy().astype(np.float64), self._points(frame)[0])
             if led is not None:
                 vertices.assign(led.astype(np.float32))
 
@@ -192,7 +203,7 @@ class _Walk:
         """Normals of unknown side to that of the mesh nearest to them, on the device."""
         from scipy.spatial import cKDTree
 
-        p = self.problem
-        facing = vertex_normals(vertices.astype(np.float64), p.faces)[cKDTree(vertices).query(self.points[frame])[1]]
+        p, (points, normals) = self.problem, self._points(frame)
+        facing = vertex_normals(vertices.astype(np.float64), p.faces)[cKDTree(vertices).query(points)[1]]
         begin, end = (int(place) for place in p.cloud_offsets[frame : frame + 2])
-        p.normals[begin:end].assign(turned_to(self.normals[frame], facing).astype(np.float32))
+        p.normals[begin:end].assign(turned_to(normals, facing).astype(np.float32))

@@ -8,17 +8,21 @@ import numpy as np
 
 from warpdef.geometry.coverage import AREA_NEIGHBOURS, area_of_discs, complete_frames
 
+_ASKED = 10_000  # points of a cloud that speak for all: every n-th on the way through space
+
 
 class CloudMeasures:
     """The local shape of the clouds of T frames, and which of them show all of a surface.
 
     Args:
-        clouds: T arrays (N_t, 3) float64. surface_area: of the template, in the square of their unit.
+        clouds: T arrays (N_t, 3) float64, along a curve that fills space (``morton``). surface_area: of the template, in
+            the square of their unit.
         share: of the fullest frame's area, from which a frame is complete.
     """
 
     def __init__(self, clouds: list[np.ndarray], surface_area: float, share: float) -> None:
         self._clouds, self._surface_area, self._share = clouds, surface_area, share
+        self._sizes = np.array([len(c) for c in clouds])
 
     @cached_property
     def spacing(self) -> np.ndarray:
@@ -33,8 +37,7 @@ class CloudMeasures:
     @cached_property
     def complete(self) -> np.ndarray:
         """Which frames show all of the surface, by their area, shape (T,) bool."""
-        sizes = np.array([len(c) for c in self._clouds])
-        return complete_frames(self._local_shape[2], sizes, self._share, self._surface_area)
+        return complete_frames(self._local_shape[2], self._sizes, self._share, self._surface_area)
 
     @cached_property
     def _local_shape(self) -> np.ndarray:
@@ -43,12 +46,15 @@ class CloudMeasures:
 
         found = []
         for cloud in self._clouds:
-            distance, index = cKDTree(cloud).query(cloud, k=min(AREA_NEIGHBOURS, len(cloud)))
+            asked = cloud[:: -(-len(cloud) // _ASKED)]
+            distance, index = cKDTree(cloud).query(asked, k=min(AREA_NEIGHBOURS, len(cloud)))
             near = cloud[index]
             near -= near.mean(axis=1, keepdims=True)
             spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near))
             thin, wide = np.sqrt(np.maximum(np.median(spread[:, :2], axis=0), 0.0))
-            found.append((distance[:, 1].mean(), thin / max(wide, 1e-12), area_of_discs(distance)))
+            area = area_of_discs(distance) * len(cloud) / len(asked)
+            found.append((distance[:, 1].mean(), thin / max(wide, 1e-12), area))
+        self._clouds = []  # nothing else is asked of them
         return np.array(found).T
 
 

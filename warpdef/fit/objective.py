@@ -46,7 +46,9 @@ class Objective:
         sample = clouds if p.sample is p.clouds else cloud_grid(p, p.sample)
         self.input = InputTerm(p, sample, self.chain, adj_nodes)
         self.transform = TransformTerm(p, clouds, self.chain, self.sums.weighed)
-        self.terms: list[VertexTerm] = [self.transform, *(term(p, self.chain, self.sums) for term in VERTEX_TERMS)]
+        # Without the chain no vertex is moved by the descent: what others ask for alone stays.
+        listed = VERTEX_TERMS if p.config.optimiser.chain else ()
+        self.terms: list[VertexTerm] = [self.transform, *(term(p, self.chain, self.sums) for term in listed)]
         self.confidence = wp.full(p.frame_count, 1.0, dtype=wp.float32, device=p.device)
 
     @property

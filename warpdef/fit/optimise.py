@@ -108,7 +108,7 @@ class Optimiser:
     def keep(self) -> None:
         """Remember this state, on the device, in place of an earlier one."""
         for name, array in self._state().items():
-            if name not in self._kept:
+            if self._kept.get(name, array) is array:
                 self._kept[name] = wp.empty_like(array)
             wp.copy(self._kept[name], array)
         self._kept_done = self.done
@@ -161,6 +161,11 @@ class Optimiser:
         """Move ``objective.vertices`` to where the parameters, as they are now, put them."""
         self._place_template()
         self.objective.move_all()
+
+    def rest(self) -> None:
+        """No iteration follows, or only after ``restore``: what is remembered is the state itself, not a copy of it."""
+        if self._kept and self._kept_done == self.done:
+            self._kept = self._state()
 
     def vertices(self) -> np.ndarray:
         """Vertices of all frames for the parameters as they are now, (T, V, 3) float32, cube units, template order."""

@@ -79,6 +79,7 @@ class FitRun:
             if o.done % LOOK_EVERY:
                 self._look()
         o.finish()
+        o.rest()
 
     def _look(self) -> None:
         o = self.optimiser
@@ -134,7 +135,8 @@ class FitRun:
             if not reason:
                 r.start()
                 self._refining = True
-        good = {name: wp.clone(array) for name, array in r.state().items()}
+        # Rotations follow from the rest, and no round follows one that is undone.
+        good = {name: wp.clone(array) for name, array in r.state().items() if array.dtype is not wp.mat33}
         rounds = r.config.iterations
         while r.done < rounds and not reason:
             r.run_round()
@@ -143,11 +145,11 @@ class FitRun:
                     f"round {r.done} of the vertex stage left the finite numbers and was undone; the result is that of "
                     f"round {r.done - 1}. Raise refine.damping",
                 )
-                r.restore(good, r.done - 1)
+                r.restore({**r.state(), **good}, r.done - 1)
                 break
             r.look()
-            for name, array in r.state().items():
-                wp.copy(good[name], array)
+            for name, array in good.items():
+                wp.copy(array, r.state()[name])
             self.tell(Progress("refine", r.done, rounds))
             self._save_if_due()
             reason = self.limits.reason()
