@@ -15,8 +15,8 @@ class CloudMeasures:
     """The local shape of the clouds of T frames, and which of them show all of a surface.
 
     Args:
-        clouds: T arrays (N_t, 3) float64, along a curve that fills space (``morton``). surface_area: of the template, in
-            the square of their unit.
+        clouds: T arrays (N_t, 3) float64, along a curve that fills space (``morton``).
+        surface_area: of the template, in the square of their unit.
         share: of the fullest frame's area, from which a frame is complete.
     """
 
