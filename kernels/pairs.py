@@ -22,7 +22,7 @@ from warpdef.kernels.sizes import sizes
 wp.set_module_options(MODULE_OPTIONS)
 
 
-@sizes("vertices normals: P; frame nearest: K; cloud cloud_normals: N; back: N?; reach: T; mutual_reach: T?")
+@sizes("vertices normals: P; frame nearest: K; cloud cloud_normals: N; back: N?; reach folded: T; mutual_reach: T?")
 @wp.struct
 class Pairs:
     """What ``pairs_of`` puts together. Without a way back ``back`` is empty."""
@@ -30,6 +30,7 @@ class Pairs:
     agreement: float
     share: float
     reach: wp.array[wp.float32]
+    folded: wp.array[wp.float32]
     vertices: wp.array[wp.vec3]
     normals: wp.array[wp.vec3]
     frame: wp.array[wp.int32]
@@ -66,20 +67,21 @@ def own_weight(pairs: Pairs, vertex: int, point: int, frame: int) -> float:
 
 
 def pairs_of(
-    pairing: tuple[float, float, wp.array], vertices: wp.array, normals: wp.array, frame: wp.array, nearest: wp.array,
-    cloud: wp.array, cloud_normals: wp.array, one_sided: OneSided = BOTH_SIDES,
+    pairing: tuple[float, float, wp.array, wp.array], vertices: wp.array, normals: wp.array, frame: wp.array,
+    nearest: wp.array, cloud: wp.array, cloud_normals: wp.array, one_sided: OneSided = BOTH_SIDES,
 ) -> Pairs:  # fmt: skip
     """Pairs of one direction of a search; the arrays are taken as they are and read at every launch.
 
     Args:
-        pairing: (agreement, share of the cloud's normal, reach), reach of shape (T,) float32, cube units.
+        pairing: (agreement, share of the cloud's normal, reach, folded), the last two of shape (T,) float32: cube
+            units; and the weight of a vertex's own pair that has no plane, along the cloud's normal (``planes``).
         vertices, normals: shape (T V,) vec3. cloud, cloud_normals: shape (N,) vec3, oriented.
         frame, nearest: of vertices, shape (T V,), or of cloud points, shape (N,), int32; nearest is -1 for none.
         one_sided: (back, reach): nearest vertex of every cloud point, shape (N,) int32, -1 for none; and shape (T,)
             float32, cube units, infinite for frames that show all of the surface.
     """
     pairs = Pairs()
-    pairs.agreement, pairs.share, pairs.reach = pairing
+    pairs.agreement, pairs.share, pairs.reach, pairs.folded = pairing
     pairs.vertices, pairs.normals = vertices, normals
     pairs.frame, pairs.nearest = frame, nearest
     pairs.cloud, pairs.cloud_normals = cloud, cloud_normals

@@ -3,6 +3,9 @@
 Every pair of ``pairs`` with plane a and weight w asks for r = a . (x - q) = 0. A vertex x + d that minimises the sum
 of w r^2 solves A d = b with A = sum w a a^T and b = -sum w r a; A and b are what the kernels add up, so b is minus half
 the gradient at d = 0, with a, w and the pairs held.
+
+A vertex whose normal disagrees with its point's has no common plane. Where a frame shows all of the surface it lies in
+a fold that the cloud does not have; the point's own plane draws it out, by the small weight ``Pairs.folded``.
 """
 
 from __future__ import annotations
@@ -60,6 +63,11 @@ def _vertex_planes(
         w = own_weight(pairs, i, j, pairs.frame[i])
         matrix = w * wp.outer(a, a)
         rhs = (-w * wp.dot(a, pairs.vertices[i] - pairs.cloud[j])) * a
+        if wp.length_sq(a) == 0.0:
+            n = pairs.cloud_normals[j]
+            f = pairs.folded[pairs.frame[i]] * w
+            matrix = f * wp.outer(n, n)
+            rhs = (-f * wp.dot(n, pairs.vertices[i] - pairs.cloud[j])) * n
     matrix_out[i] = matrix
     rhs_out[i] = rhs
 

@@ -95,16 +95,23 @@ class Planes:
         return matrix, rhs
 
 
-def planes(x, m, q, n, owner, reach, agreement: float, share: float = 1.0, mutual: np.ndarray | float = 1.0) -> Planes:
+def planes(
+    x, m, q, n, owner, reach, agreement: float, share: float = 1.0, mutual: np.ndarray | float = 1.0, folded=0.0
+) -> Planes:
     """Pairs of vertices x with normals m and cloud points q with normals n, all (P, 3). reach: a number or (P,).
 
-    share: how much n counts in the common normal. mutual: a further weight of each pair, (P,).
+    share: how much n counts in the common normal. mutual: a further weight of each pair, (P,). folded: the weight along
+    n of pairs without a common plane, a number or (P,).
     """
     kept = (n * m).sum(axis=1) > agreement
     a = np.where(kept[:, None], share * n + m, 0.0)
     length = np.linalg.norm(a, axis=1, keepdims=True)
     a = np.divide(a, length, out=np.zeros_like(a), where=length > 0)
     w = mutual * np.exp(-((np.linalg.norm(x - q, axis=1) / reach) ** 2))
+    a, w = (
+        np.where(length > 0, a, np.where(np.reshape(folded, (-1, 1)) > 0, n, 0.0)),
+        np.where(length[:, 0] > 0, w, w * folded),
+    )
     return Planes(np.asarray(owner), a, w, (a * (x - q)).sum(axis=1))
 
 

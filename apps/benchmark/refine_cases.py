@@ -57,7 +57,7 @@ def _planes(bed: Bed) -> list[Case]:
         wp.clone(o.transform.correspondences.back.index),
     )
     reach = c.reach * p.measures.spacing
-    pairing = (c.agreement, 1.0, p.numbers(reach))
+    pairing = (c.agreement, 1.0, p.numbers(reach), p.numbers(0.0 * reach))
     matrix, rhs = _filled(bed, wp.mat33, total), _filled(bed, wp.vec3, total)
     mesh, cloud = (flat, normals), (p.cloud, p.normals)
     met = pairs_of(pairing, *mesh, p.vertex_frame, to_cloud, *cloud)

@@ -21,6 +21,7 @@ from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 
 _OPPOSED_MAX = 0.01  # share of given normals against the mesh that is taken for contact, not for flips
 _NOISE_MAX = 1.25  # rigidity grows no further
+_FOLDED = 0.05  # weight of a vertex in a fold that a complete frame does not have, against one plane
 _BORDER = 0.1  # weight of a residual across the border against one plane: a border is sampled sparsely, hence noisy
 _BORDER_GAP = 0.9  # from the border to the nearest point, in mean point spacings
 
@@ -48,7 +49,8 @@ class Pairing:
         self._faces = _faces_around(p)
         self._normals = wp.zeros((p.frame_count, p.vertex_count), dtype=wp.vec3, device=p.device)
         c, share = p.config.refine, max(1.0 - noise, 0.0)
-        pairing = (c.agreement * share, share, p.numbers(c.reach * p.measures.spacing))
+        reach, folded = c.reach * p.measures.spacing, np.where(p.measures.complete, _FOLDED, 0.0)
+        pairing = (c.agreement * share, share, p.numbers(reach), p.numbers(folded))
         mesh, cloud = (self._vertices.flatten(), self._normals.flatten()), (p.cloud, p.normals)
         forth, back = (search.index for search in (self._correspondences.forth, self._correspondences.back))
         self.met = pairs_of(pairing, *mesh, p.vertex_frame, forth, *cloud, objective.transform.sides)
