@@ -96,7 +96,16 @@ class Planes:
 
 
 def planes(
-    x, m, q, n, owner, reach, agreement: float, share: float = 1.0, mutual: np.ndarray | float = 1.0, folded=0.0
+    x,
+    m,
+    q,
+    n,
+    owner,
+    reach,
+    agreement: float,
+    share: float = 1.0,
+    mutual: np.ndarray | float = 1.0,
+    folded: np.ndarray | float = 0.0,
 ) -> Planes:
     """Pairs of vertices x with normals m and cloud points q with normals n, all (P, 3). reach: a number or (P,).
 

@@ -165,7 +165,7 @@ SCENES = {
 }
 
 
-@pytest.fixture(params=SCENES.values(), ids=SCENES)
+@pytest.fixture(params=SCENES.values(), ids=list(SCENES))
 def scene(device: str, rng: np.random.Generator, request: pytest.FixtureRequest) -> PlaneScene:
     scene, (mutual_reach, folded) = PlaneScene(device, rng), request.param
     scene.mutual_reach = None if mutual_reach is None else np.array(mutual_reach, np.float32)
