@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from synthetic import sample_surface
 
-from warpdef.geometry.cloud_normals import _CurlFreeField, estimate_normals, pca_normals, repair_normals
+from warpdef.geometry.cloud_normals import (
+    _confirmed,
+    _CurlFreeField,
+    _Neighbourhood,
+    estimate_normals,
+    pca_normals,
+    repair_normals,
+)
 
 
 def sphere(rng: np.random.Generator, count: int = 1500) -> np.ndarray:
@@ -110,6 +117,34 @@ def test_a_flipped_region_and_scattered_flips_are_repaired_without_touching_the_
     assert abs(flipped / len(points) - wrong) < 0.01
     assert wrong_share(repaired, truth) < 0.01
     np.testing.assert_array_equal(given, before)
+
+
+def test_only_right_normals_of_a_whole_body_are_confirmed_by_their_indicator(rng):
+    points, truth = clamp(rng)
+
+    def confirmed(points: np.ndarray, normals: np.ndarray) -> bool:
+        near = _Neighbourhood.of(points, 16)
+        return _confirmed(near, _CurlFreeField(near.points, near.spacing), normals)
+
+    assert confirmed(points, truth)
+    assert not confirmed(points, -truth)
+    patch = np.linalg.norm(points - points[0], axis=1).argsort()[:60]
+    turned = truth.copy()
+    turned[patch] *= -1
+    assert not confirmed(points, turned)
+    front = points[:, 2] > 0.0
+    assert not confirmed(points[front], truth[front])
+
+
+def test_single_normals_turned_over_are_found_where_the_rest_is_confirmed(rng):
+    points, truth = clamp(rng)
+    given = truth.copy()
+    given[[5, 300, 2000]] *= -1
+    near = _Neighbourhood.of(points, 16)
+    assert _confirmed(near, _CurlFreeField(near.points, near.spacing), given)
+    repaired, flipped = repair_normals(points, given)
+    assert flipped == 3
+    np.testing.assert_array_equal(repaired, truth)
 
 
 def test_indicator_and_its_transpose_agree(rng):

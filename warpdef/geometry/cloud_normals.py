@@ -28,12 +28,20 @@ from warpdef.geometry.triangles import component_labels
 CELL_SPACINGS = 1.0  # grid cell, in mean point spacings
 SMOOTH_CELLS = 0.85  # Gaussian on the grid, standard deviation in cells
 CELLS_MAX = 6_000_000  # beyond, the cell grows: 0.4 GB
+CLEAR_PLANES = 0.8  # median clarity of a cloud's planes: 0.95 clean, 0.7 with noise of half a percent; above, ...
+START_SPACINGS = 1.5  # ... signs can be taken from a grid as coarse as this, with a third of the cells
 REGULARISATION = 5.0  # of the start, relative to the mean diagonal: high enough for noise of one spacing
 START_ITERATIONS = 20
 START_TOLERANCE = 1e-2  # only signs are taken from the start
 SHARPEN_ITERATIONS = 5
 DISCORD_DOUBTED = 0.006  # of neighbours' sides, above which the field's answer is held against a walk's ...
 DISCORD_GAIN = 0.1  # ... which has to have less than this share of it; a closed body's stays below, noise of 1 % too
+OFF_SURFACE = 2.5  # spacings from a point, along its normal and against it, at which given normals are tried ...
+FREE = 1.5  # ... unless another point is nearer than this
+HALF_INSIDE = 0.25  # how far from 0 and 1 an indicator is neither
+UNTRUE = 0.005  # share of places that are neither, up to which given normals are confirmed: right ones of whole bodies
+# have 0 to 0.01, and a patch of 0.6 % turned over adds more than this
+CONFIRMED_ITERATIONS = 2  # then find what is smaller
 CLEARLY_OPPOSED = -0.3  # cosine to the estimate below which a given normal is doubted
 SMALL_PATCH = 0.02  # share of the points up to which a doubted patch needs ...
 CLEAR_BREAK = -0.5  # ... a mean agreement with the normals around it below this, to be turned over
@@ -62,10 +70,15 @@ def estimate_normals(points: np.ndarray, neighbours: int = 16) -> np.ndarray:
         neighbours: points a local plane is fitted to; at most N are used.
     """
     near = _Neighbourhood.of(points, neighbours)
+    clarity = _fit_planes(near.points, near.index, np.ones(near.index.shape))[1]
+    clear = float(np.median(clarity)) > CLEAR_PLANES
     field = _CurlFreeField(near.points, CELL_SPACINGS * near.spacing)
-    side = _unit(_least_norm_start(field, near.area))
-    for _ in range(SHARPEN_ITERATIONS):
-        side = _unit(field.project(near.area[:, None] * side))
+    return _estimated(near, field, _CurlFreeField(near.points, START_SPACINGS * near.spacing) if clear else field)
+
+
+def _estimated(near: _Neighbourhood, field: _CurlFreeField, at_first: _CurlFreeField) -> np.ndarray:
+    """The same, from the grid on which it starts."""
+    side = _sharpened(near, field, _unit(_least_norm_start(at_first, near.area)), SHARPEN_ITERATIONS)
     normals = _detail(near, side)
     if _discord(near, normals) > DISCORD_DOUBTED:
         # A flat open sheet has no inside, and the field cuts it into patches: there, a walk does better.
@@ -73,6 +86,32 @@ def estimate_normals(points: np.ndarray, neighbours: int = 16) -> np.ndarray:
         if _discord(near, walked) < DISCORD_GAIN * _discord(near, normals):
             return walked
     return normals
+
+
+def _sharpened(near: _Neighbourhood, field: _CurlFreeField, side: np.ndarray, iterations: int) -> np.ndarray:
+    """``side`` (N, 3), replaced some times by the direction of its curl-free part."""
+    for _ in range(iterations):
+        side = _unit(field.project(near.area[:, None] * side))
+    return side
+
+
+def _confirmed(near: _Neighbourhood, field: _CurlFreeField, normals: np.ndarray) -> bool:
+    """Whether the indicator of normals is 1 on their inner and 0 on their outer side, as it is of right ones only.
+
+    Around a patch that is turned over it goes from one to the other where there is no surface. On a border it does so
+    as well: normals of an open surface are not confirmed.
+    """
+    from scipy.spatial import cKDTree
+
+    step = OFF_SURFACE * near.spacing * normals
+    places = np.stack([near.points - step, near.points + step])
+    free = cKDTree(near.points).query(places)[0] > FREE * near.spacing
+    inner, outer = np.split(field.indicator(near.area[:, None] * normals, places[free]), [int(free[0].sum())])
+    if not len(inner) or not np.median(inner) > 0.0:
+        return False
+    # Areas are relative, so that 1 is what most have.
+    untrue = np.abs(np.concatenate([inner, outer]) / np.median(inner) - np.repeat([1, 0], [len(inner), len(outer)]))
+    return float(np.mean(untrue > HALF_INSIDE)) <= UNTRUE
 
 
 def _detail(near: _Neighbourhood, side: np.ndarray) -> np.ndarray:
@@ -125,9 +164,10 @@ def turned_to(normals: np.ndarray, side: np.ndarray) -> np.ndarray:
 def repair_normals(points: np.ndarray, normals: np.ndarray, neighbours: int = 16) -> tuple[np.ndarray, int]:
     """Turn over given normals that clearly point inwards; directions are kept.
 
-    All are turned if most oppose ``estimate_normals``. Then every connected patch that still opposes it is turned if it
-    also opposes the normals around it: a patch that fits its surroundings is a place where the estimate is the one that
-    errs. As the estimate errs on small patches only (thin limbs), these need the clearer break.
+    Where the indicator of those given confirms them, only small patches are looked at, and the estimate of their side
+    begins with them. Else all are turned if most oppose ``estimate_normals``. Then every connected patch that still
+    opposes it is turned if it also opposes the normals around it: a patch that fits its surroundings is a place where
+    the estimate is the one that errs. As it errs on small patches only (thin limbs), these need the clearer break.
 
     Args:
         points: shape (N, 3), any units.
@@ -139,7 +179,11 @@ def repair_normals(points: np.ndarray, normals: np.ndarray, neighbours: int = 16
     """
     given = np.array(normals, dtype=np.float64)
     near = _Neighbourhood.of(points, neighbours)
-    estimate = estimate_normals(points, neighbours)
+    field = _CurlFreeField(near.points, CELL_SPACINGS * near.spacing)
+    if _confirmed(near, field, given):
+        estimate = _sharpened(near, field, given, CONFIRMED_ITERATIONS)
+    else:
+        estimate = _estimated(near, field, field)
     sign = np.ones(len(given))
     if ((given * estimate).sum(axis=1) < 0).mean() > 0.5:
         sign[:] = -1.0
@@ -181,10 +225,10 @@ class _Neighbourhood:
 
     def edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Undirected neighbour pairs, each once: two arrays of E indices."""
-        i = np.repeat(np.arange(len(self.index)), self.index.shape[1])
-        pairs = np.sort(np.stack([i, self.index.ravel()], axis=1), axis=1)
-        pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
-        return pairs[:, 0], pairs[:, 1]
+        count = len(self.index)
+        i, j = np.repeat(np.arange(count), self.index.shape[1]), self.index.ravel()
+        first, second = np.divmod(np.unique((np.minimum(i, j) * count + np.maximum(i, j))[i != j]), count)
+        return first, second
 
 
 def _unit(x: np.ndarray) -> np.ndarray:
@@ -233,12 +277,8 @@ class _CurlFreeField:
         cell = max(cell, float((np.prod(extent + 2 * pad) / CELLS_MAX) ** (1 / 3)))
         self.shape = tuple(fft.next_fast_len(int(np.ceil(side / cell)) + 2, real=True) for side in extent + 2 * pad)
         self._size = int(np.prod(self.shape))
-        place = (points - low + pad) / cell
-        corner = np.floor(place).astype(np.int64)
-        part = (place - corner).astype(np.float32)
-        offset = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-        self._weight = np.prod(np.where(offset == 1, part[:, None], 1.0 - part[:, None]), axis=2)
-        self._index = np.ravel_multi_index(tuple((corner[:, None] + offset).transpose(2, 0, 1)), self.shape)
+        self._low, self._cell = low - pad, cell
+        self._points = self._corners(points)
         kx, ky = (2 * np.pi * fft.fftfreq(n).astype(np.float32) for n in self.shape[:2])
         kz = 2 * np.pi * fft.rfftfreq(self.shape[2]).astype(np.float32)
         self._k = (kx[:, None, None], ky[None, :, None], kz[None, None, :])
@@ -247,13 +287,25 @@ class _CurlFreeField:
         self._filter = np.exp(-0.5 * SMOOTH_CELLS**2 * k_sq) / np.maximum(k_sq, 1e-12)
         self._filter[0, 0, 0] = 0.0
 
+    def _corners(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes around places (N, 3) that are padding or less away from the points, and their weights, (N, 8) each."""
+        place = (places - self._low) / self._cell
+        corner = np.floor(place).astype(np.int64)
+        part = (place - corner).astype(np.float32)
+        offset = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        weight = np.prod(np.where(offset == 1, part[:, None], 1.0 - part[:, None]), axis=2)
+        return np.ravel_multi_index(tuple((corner[:, None] + offset).transpose(2, 0, 1)), self.shape), weight
+
     def _spread(self, values: np.ndarray) -> np.ndarray:
-        grid = np.bincount(self._index.ravel(), (self._weight * values[:, None]).ravel(), minlength=self._size)
+        index, weight = self._points
+        grid = np.bincount(index.ravel(), (weight * values[:, None]).ravel(), minlength=self._size)
         return grid.astype(np.float32).reshape(self.shape)
 
-    def _gather(self, spectrum: np.ndarray) -> tuple[np.ndarray, float]:
+    def _gather(self, spectrum: np.ndarray, places: np.ndarray | None = None) -> tuple[np.ndarray, float]:
+        """On the points, or at other places; and at a far corner."""
         grid = self._fft.irfftn(spectrum, s=self.shape).ravel()
-        return (grid[self._index] * self._weight).sum(axis=1).astype(np.float64), float(grid[0])
+        index, weight = self._points if places is None else self._corners(places)
+        return (grid[index] * weight).sum(axis=1).astype(np.float64), float(grid[0])
 
     def _divergence(self, vectors: np.ndarray) -> np.ndarray:
         parts = (k * self._fft.rfftn(self._spread(v)) for k, v in zip(self._k, vectors.T, strict=True))
@@ -264,10 +316,10 @@ class _CurlFreeField:
         potential = self._divergence(vectors) * self._filter
         return np.stack([self._gather(potential * k)[0] for k in self._k], axis=1)
 
-    def indicator(self, normals: np.ndarray) -> np.ndarray:
-        """chi of area-weighted outward normals (N, 3) at the points, 0 at a far corner, shape (N,)."""
-        at_points, far = self._gather(1j * self._divergence(normals) * self._filter)
-        return at_points - far
+    def indicator(self, normals: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
+        """chi of area-weighted outward normals (N, 3), 0 at a far corner: at the points, or at places near them."""
+        there, far = self._gather(1j * self._divergence(normals) * self._filter, places)
+        return there - far
 
     def indicator_adjoint(self, charges: np.ndarray) -> np.ndarray:
         """Transpose of ``indicator``: (N,) to (N, 3)."""
