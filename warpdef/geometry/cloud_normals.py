@@ -294,7 +294,8 @@ class _CurlFreeField:
         part = (place - corner).astype(np.float32)
         offset = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
         weight = np.prod(np.where(offset == 1, part[:, None], 1.0 - part[:, None]), axis=2)
-        return np.ravel_multi_index(tuple((corner[:, None] + offset).transpose(2, 0, 1)), self.shape), weight
+        index = np.ravel_multi_index(tuple((corner[:, None] + offset).transpose(2, 0, 1)), self.shape)
+        return np.asarray(index), weight
 
     def _spread(self, values: np.ndarray) -> np.ndarray:
         index, weight = self._points

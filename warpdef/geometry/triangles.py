@@ -7,14 +7,23 @@ import numpy as np
 
 def unique_edges(faces: np.ndarray) -> np.ndarray:
     """Undirected edges of a triangle list, shape (E, 2) int32, each once, lower index first, sorted."""
-    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    return np.unique(np.sort(directed, axis=1), axis=0).astype(np.int32)
+    keys, count = _edge_keys(faces)
+    return np.stack(np.divmod(np.unique(keys), count), axis=1).astype(np.int32)
+
+
+def _edge_keys(faces: np.ndarray) -> tuple[np.ndarray, int]:
+    """A number for each edge of each face, (3 F,), the lower vertex times a count, plus the higher one; the count.
+
+    Numbers are sorted ten times as fast as rows.
+    """
+    start, end = faces.ravel().astype(np.int64), faces[:, [1, 2, 0]].ravel().astype(np.int64)
+    count = int(faces.max(initial=0)) + 1
+    return np.minimum(start, end) * count + np.maximum(start, end), count
 
 
 def edge_use(faces: np.ndarray) -> np.ndarray:
     """How many faces each undirected edge belongs to, shape (E,); 2 everywhere on a watertight mesh."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return np.unique(edges, axis=0, return_counts=True)[1]
+    return np.unique(_edge_keys(faces)[0], return_counts=True)[1]
 
 
 def is_watertight(faces: np.ndarray) -> bool:
@@ -74,7 +83,7 @@ def separate_touching(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarr
     at_start, at_end = corner[:, [0, 1, 2]].ravel(), corner[:, [1, 2, 0]].ravel()
     swap = start > end
     at_low, at_high = np.where(swap, at_end, at_start), np.where(swap, at_start, at_end)
-    key = np.minimum(start, end).astype(np.int64) * (int(faces.max()) + 1) + np.maximum(start, end)
+    key = _edge_keys(faces)[0]
     order = np.argsort(key, kind="stable")
     same = np.flatnonzero(np.diff(key[order]) == 0)
     i, j = order[same], order[same + 1]
@@ -96,9 +105,9 @@ def vertex_components(faces: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
 def boundary_edges(faces: np.ndarray) -> np.ndarray:
     """Undirected edges of exactly one face, shape (B, 2)."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    return unique[count == 1]
+    keys, vertex_count = _edge_keys(faces)
+    unique, count = np.unique(keys, return_counts=True)
+    return np.stack(np.divmod(unique[count == 1], vertex_count), axis=1).astype(faces.dtype)
 
 
 def boundary_loops(faces: np.ndarray) -> int:
@@ -124,7 +133,11 @@ def compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
     """Drop faces that name a vertex twice, faces on the same three vertices, and vertices not in use."""
     twice = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
     faces = faces[~twice]
-    first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]
+    # As numbers, which are sorted faster than rows: an edge's, made small, and the vertex opposite.
+    low, middle, high = np.sort(faces.astype(np.int64), axis=1).T
+    count = int(faces.max(initial=0)) + 1
+    edge = np.unique(low * count + middle, return_inverse=True)[1]
+    first = np.unique(edge * count + high, return_index=True)[1]
     faces = faces[np.sort(first)]
     used, inverse = np.unique(faces, return_inverse=True)
     return vertices[used], inverse.reshape(-1, 3).astype(np.int32)

@@ -37,7 +37,7 @@ def cut_at_zero(vertices: np.ndarray, faces: np.ndarray, level: np.ndarray) -> t
 
 def _snap(vertices: np.ndarray, faces: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices with those near the contour moved onto it, and which ones were, shape (V,) bool."""
-    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    edges = triangles.unique_edges(faces)
     edges = edges[(level[edges[:, 0]] > 0) != (level[edges[:, 1]] > 0)]
     a = np.concatenate([edges[:, 0], edges[:, 1]])
     b = np.concatenate([edges[:, 1], edges[:, 0]])
