@@ -172,3 +172,20 @@ def test_names_in_an_archive_lead_nowhere(tmp_path):
     assert len(read_clouds(inner / "a.npz")) == 4
     np.testing.assert_array_equal(Npz(inner / "a.npz").array("../../out"), np.stack(CLOUDS))
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["a.npz", "deep", "in"]
+
+
+def test_what_hardly_packs_is_written_as_it_is_and_the_rest_compressed(tmp_path, monkeypatch, rng):
+    monkeypatch.setattr(numpy_files, "MAPPED_FROM", 1 << 20)
+    places = rng.normal(size=(17, 2000, 3)).astype(np.float32)
+    arrays = {"places": places, "many": np.repeat(places, 3, axis=0), "zeros": np.zeros((60_000, 3), dtype=np.int32)}
+    arrays |= {"count": np.array(7), "names": np.array(["a", "b"]), "none": np.zeros((0, 3), dtype=np.float32)}
+    numpy_files.write_npz(tmp_path / "a.npz", arrays)
+    with zipfile.ZipFile(tmp_path / "a.npz") as archive:
+        kinds = {member.filename: member.compress_type for member in archive.infolist()}
+        assert archive.testzip() is None
+    # What is large would be mapped if it were not compressed, and no sum of it checked.
+    assert kinds.pop("places.npy") == zipfile.ZIP_STORED and set(kinds.values()) == {zipfile.ZIP_DEFLATED}
+    with np.load(tmp_path / "a.npz") as read:
+        assert all(
+            np.array_equal(read[name], array) and read[name].dtype == array.dtype for name, array in arrays.items()
+        )
