@@ -121,6 +121,33 @@ def test_half_of_the_surface_unseen_is_no_fault(meshes, clouds) -> None:
     assert found.confidence[:, up].mean() > 250 and found.confidence[:, VERTICES[:, 2] < -0.4].max() < 10
 
 
+def test_a_limb_beyond_the_end_of_a_closed_cloud_hangs_over(meshes, clouds) -> None:
+    """In frame 3 the points are those of a tube that ends earlier, in frame 1 the tube's own are cut off as early."""
+    shorter = meshes[3] + ((VERTICES[:, :1] + 2.0) * -0.08) * (meshes[3][-1] - meshes[3][-2]) / 4.0
+    clouds[3] = sample_surface(shorter, FACES, POINTS, np.random.default_rng(3))[0]
+    along = (meshes[1][-1] - meshes[1][-2]) / 4.0
+    clouds[1] = clouds[1][(clouds[1] - meshes[1][-2]) @ along < 3.68]
+    found = assess(clouds, meshes, FACES, KEYFRAME)
+    assert names(found) == ["good", "good", "good", "doubtful", "good"]
+    assert 0.03 < frames(found)[3].overhang < 0.1 and "hangs over" in found.verdicts[3].reasons[0]
+    assert [frames(found)[t].overhang for t in (0, 1, 2, 4)] == [0.0] * 4 and frames(found)[1].far > 0.03
+
+
+def test_a_sheet_larger_than_all_that_its_cloud_shows_is_told() -> None:
+    """In frame 3 the mesh is longer than the sheet, in frame 1 the sheet was not seen to its end."""
+    x, y = np.meshgrid(np.linspace(0.0, 4.0, 60), np.linspace(0.0, 2.0, 30), indexing="ij")
+    i = np.arange(60 * 30).reshape(60, 30)
+    a, b, c, d = (j.ravel() for j in (i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
+    sheets = np.stack([np.stack([x, y, 0.1 * np.sin(2.0 * x + t)], -1).reshape(-1, 3) for t in range(FRAMES)])
+    clouds = [sample_surface(v, faces, POINTS, np.random.default_rng(t))[0] for t, v in enumerate(sheets)]
+    clouds[1] = clouds[1][clouds[1][:, 0] < 3.5]
+    sheets[3, :, 0] *= 1.12
+    found = assess(clouds, sheets, faces, KEYFRAME)
+    assert names(found) == ["good", "good", "good", "doubtful", "good"]
+    assert 0.03 < frames(found)[3].surplus < 0.12 and frames(found)[1].far > 0.05 and frames(found)[1].surplus < 0.02
+
+
 def test_surface_drawn_out_where_no_points_are_is_torn(meshes, clouds) -> None:
     """A web: some vertices of the side are drawn far away from it."""
     side = (np.abs(VERTICES[:, 0]) < 0.2) & (VERTICES[:, 2] > 0.3)

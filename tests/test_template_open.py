@@ -8,10 +8,11 @@ from synthetic import icosphere, sample_surface
 
 from warpdef.config import TemplateConfig
 from warpdef.geometry import triangles
+from warpdef.geometry.borders import border_points
 from warpdef.geometry.coverage import objects_of, point_areas
 from warpdef.template import build as building
 from warpdef.template.cut import cut_at_zero
-from warpdef.template.support import Support, border_points
+from warpdef.template.support import Support
 from warpdef.template.trim import find_trimming
 
 SMALL = TemplateConfig(faces_max=2500)

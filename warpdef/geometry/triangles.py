@@ -41,6 +41,11 @@ def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
+def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """A third of the area of the faces around each vertex, shape (V,)."""
+    return np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces) / 3.0, 3), minlength=len(vertices))
+
+
 def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     """Volume enclosed by a closed mesh, above zero where faces are counter-clockwise from outside."""
     # About the centroid: the sum then keeps its digits far from the origin, and means something on open meshes.

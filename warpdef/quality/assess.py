@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from warpdef.quality.confidence import vertex_confidence
 from warpdef.quality.coverage import Coverage, doubled_vertices, measure_coverage
 from warpdef.quality.enclosed import inner_share
 from warpdef.quality.frame import FrameQuality
+from warpdef.quality.overhang import overhang_share, surplus_share
 from warpdef.quality.shape import ReferenceShape, ShapeChange
 from warpdef.quality.temporal import acceleration, flicker
 from warpdef.quality.verdict import DOUBTFUL, INNER_WALL, LOST, Verdict, judge
@@ -106,13 +107,14 @@ def assess(
         placed = vertices[t] - centre
         change = reference.compare(placed, usual if t == keyframe else None)
         coverage = measure_coverage(points - centre, placed, faces) if len(points) else None
-        inner = doubled = None
+        inner = doubled = overhang = None
         if coverage is not None:
             inner = inner_share(points - centre, placed, faces, coverage)
+            overhang = overhang_share(points - centre, placed, faces, coverage)
             hidden = doubled_vertices(coverage, placed, reference.vertices, faces)
             doubled = coverage.share(hidden[faces].mean(axis=1))
         blur = None if coverage is None or reference.thin is None else coverage.noise / reference.thin
-        layers = {"inner": inner, "doubled": doubled, "blur": blur}
+        layers = {"inner": inner, "doubled": doubled, "blur": blur, "overhang": overhang, "surplus": None}
         quality = _frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm))
         return quality, coverage, change.stretch
 
@@ -120,8 +122,15 @@ def assess(
     with ThreadPoolExecutor(min(threads, SIDE_BY_SIDE)) as pool:
         measured = list(pool.map(measure, range(len(clouds))))
     coverages, stretches = [coverage for _, coverage, _ in measured], [stretch for _, _, stretch in measured]
+    frames = [frame for frame, _, _ in measured]
+    complete = coverages[keyframe]
+    if complete is not None:
+        frames = [
+            frame if c is None else replace(frame, surplus=surplus_share(c, complete))
+            for frame, c in zip(frames, coverages, strict=True)
+        ]
     confidence = vertex_confidence(coverages, stretches, reference.edges, faces, vertices.shape[1])
-    return Assessment([frame for frame, _, _ in measured], [judge(frame) for frame, _, _ in measured], confidence)
+    return Assessment(frames, [judge(frame) for frame in frames], confidence)
 
 
 def _frame(

@@ -22,8 +22,9 @@ COVERED = 3.0
 """Lengths from the surface up to which a point counts as covered."""
 FAR = 4.0
 """Lengths from every point from which surface counts as far."""
+OTHER_SIDE = -0.25
+"""Cosine between the normals of a vertex and of its point's place on the surface below which that is another side."""
 _SPACING = 0.5 * np.sqrt(np.pi / SPACING_NEIGHBOURS)  # mean distance to the first neighbour over that to the 8th
-_OTHER_SIDE = -0.25  # cosine between the normals of a vertex and of its point's place below which that is another side
 _APART = 1.5  # times the distance, plus a length: what was that far apart in the shape does not belong together
 _JUDGED = 200  # points whose neighbourhoods tell the noise
 _FLAT = ((16, 0.5), (48, 0.75), (144, np.inf))
@@ -138,7 +139,7 @@ def measure_coverage(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     beside = np.linalg.norm(back[nearest] - vertices, axis=1) <= reach
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
-    same_side = np.einsum("vi,vi->v", vertex_normals(vertices, faces), normal[face[nearest]]) > _OTHER_SIDE
+    same_side = np.einsum("vi,vi->v", vertex_normals(vertices, faces), normal[face[nearest]]) > OTHER_SIDE
     far = distance > reach
 
     far_faces = far[faces].mean(axis=1)

@@ -23,6 +23,8 @@ class FrameQuality:
     doubled:      share of the surface that is near points of another part, and was apart from it in the shape
     inner:        share of the surface that is far from every point and enclosed by them: a wall between what has parted
     torn:         share of the surface that is far from every point and stretched at that
+    overhang:     share of the surface that lies far beyond points whose own surface closes
+    surplus:      share of the surface that is far from every point, though these show as much as in the keyframe
     stretch_p95, stretch_max: of |log l / l_shape| over the edges
     stretched:    share of the edges that are longer or shorter than in the shape by half, a growth of all taken off
     folded:       share of neighbouring faces folded by more than 90 degrees, that were not so in the shape
@@ -49,6 +51,8 @@ class FrameQuality:
     doubled: float | None
     inner: float | None
     torn: float | None
+    overhang: float | None
+    surplus: float | None
     stretch_p95: float
     stretch_max: float
     stretched: float

@@ -59,6 +59,21 @@ BOUNDS = (
         "0 to 0.1 % where nothing is wrong; a web between two limbs has 0.3 % and more",
     ),
     Bound(
+        "overhang",
+        0.003,
+        0.10,
+        "{:.1%} of the surface hangs over where the points close",
+        "none where nothing is wrong, up to 0.1 % where one camera saw a body; a foot turned inwards has 0.5 %, a "
+        "snake that slid along itself 2 to 17 %",
+    ),
+    Bound(
+        "surplus",
+        0.03,
+        0.10,
+        "{:.0%} of the surface has no points, which show as much as in the keyframe all the same",
+        "0 to 1 % on bodies and before one camera; a sheet that slid over its border 4 to 12 %, one that is lost 30 %",
+    ),
+    Bound(
         "doubled",
         0.035,
         _NEVER,

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpdef.geometry import triangles
-from warpdef.template.support import Support, border_points
+from warpdef.geometry.borders import border_points
+from warpdef.template.support import Support
 
 OPENING_POINTS = 12.0  # least size of an opening, in areas of a point
 OPENING_DEPTH = 1.9  # least distance of its deepest place from all points, in sqrt(area of a point)
@@ -42,7 +43,7 @@ class Trimming:
 def find_trimming(vertices: np.ndarray, faces: np.ndarray, support: Support) -> Trimming:
     """Judge every unsupported patch of a surface (V, 3), (F, 3) whose faces have the side of the support's normals."""
     level = support.at(vertices, triangles.vertex_normals(vertices, faces)) - 0.5
-    area = vertex_areas(vertices, faces)
+    area = triangles.vertex_areas(vertices, faces)
     # Patches are measured in points, so that sparse places may have larger gaps.
     points = area / support.local_area(vertices)
     patch = triangles.vertex_components(faces, level <= 0)
@@ -107,10 +108,3 @@ def crop(vertices: np.ndarray, faces: np.ndarray, level: np.ndarray, support: Su
     """The part that stays with a margin around it, roughly cut: what is worth remeshing; vertices and faces."""
     wide = (level > 0) | (support.distance(vertices) < MARGIN)
     return triangles.compact(*triangles.separate_touching(vertices, faces[wide[faces].all(axis=1)]))
-
-
-def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """A third of the area of the faces around each vertex, shape (V,)."""
-    return np.bincount(
-        faces.ravel(), np.repeat(triangles.face_areas(vertices, faces) / 3.0, 3), minlength=len(vertices)
-    )
