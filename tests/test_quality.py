@@ -169,6 +169,19 @@ def test_surface_folded_behind_another_is_told(meshes, clouds) -> None:
     assert any("behind or inside" in reason for reason in found.verdicts[0].reasons)
 
 
+def test_a_second_layer_on_the_surface_is_told(clouds) -> None:
+    """Two tubes that lie side by side, and in one frame both on the points of both: each covers all of them."""
+    both = np.concatenate([FACES, FACES + len(VERTICES)])
+    side = np.array([0.0, 0.0, 3.0])
+    apart = [np.concatenate([cloud, cloud + side]) for cloud in clouds]
+    apart[3] = np.concatenate([clouds[3], clouds[3] + [1e-3, 0.0, 0.0]])
+    pairs = np.stack([np.concatenate([moved(t), moved(t) + (t != 3) * side]) for t in range(FRAMES)])
+    found = assess(apart, pairs, both, KEYFRAME)
+    assert names(found) == ["good"] * 3 + ["doubtful", "good"]
+    assert frames(found)[3].layered > 0.4 and frames(found)[0].layered < 0.01
+    assert any("second layer" in reason for reason in found.verdicts[3].reasons)
+
+
 def test_the_unseen_back_of_a_thin_limb_is_no_fault(meshes, clouds) -> None:
     """Thinner than four spacings, so that it is near to the points on its front, but not on theirs."""
     thin = meshes * [1.0, 1.0, 0.15]

@@ -107,14 +107,15 @@ def assess(
         placed = vertices[t] - centre
         change = reference.compare(placed, usual if t == keyframe else None)
         coverage = measure_coverage(points - centre, placed, faces) if len(points) else None
-        inner = doubled = overhang = None
+        inner = doubled = layered = overhang = None
         if coverage is not None:
             inner = inner_share(points - centre, placed, faces, coverage)
             overhang = overhang_share(points - centre, placed, faces, coverage)
-            hidden = doubled_vertices(coverage, placed, reference.vertices, faces)
-            doubled = coverage.share(hidden[faces].mean(axis=1))
+            of_vertices = doubled_vertices(coverage, placed, reference.vertices, faces)
+            doubled, layered = (coverage.share(found[faces].mean(axis=1)) for found in of_vertices)
         blur = None if coverage is None or reference.thin is None else coverage.noise / reference.thin
-        layers = {"inner": inner, "doubled": doubled, "blur": blur, "overhang": overhang, "surplus": None}
+        layers = {"inner": inner, "doubled": doubled, "layered": layered, "blur": blur}
+        layers |= {"overhang": overhang, "surplus": None}
         quality = _frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm))
         return quality, coverage, change.stretch
 

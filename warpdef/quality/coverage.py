@@ -25,6 +25,7 @@ FAR = 4.0
 OTHER_SIDE = -0.25
 """Cosine between the normals of a vertex and of its point's place on the surface below which that is another side."""
 _SPACING = 0.5 * np.sqrt(np.pi / SPACING_NEIGHBOURS)  # mean distance to the first neighbour over that to the 8th
+_SAME_WAY = 0.5  # cosine between the normals of a vertex and of its point's place above which they face one way
 _APART = 1.5  # times the distance, plus a length: what was that far apart in the shape does not belong together
 _JUDGED = 200  # points whose neighbourhoods tell the noise
 _FLAT = ((16, 0.5), (48, 0.75), (144, np.inf))
@@ -78,23 +79,35 @@ class Coverage:
         return _mean_by_area(of_faces, self.areas)
 
 
-def doubled_vertices(coverage: Coverage, vertices: np.ndarray, shape: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Vertices near points that lie on another part of the surface, from which the shape holds them apart; (V,) bool.
+def doubled_vertices(
+    coverage: Coverage, vertices: np.ndarray, shape: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices near points that lie on another part of the surface, from which the shape holds them apart.
 
     The back of a thin limb is as near to the points on its front, but so it is in the shape.
 
     Args:
         coverage: of this frame. vertices: shape (V, 3). shape: the same in the shape (V, 3). faces: shape (F, 3).
+
+    Returns:
+        Those that the frame does not show, (V,) bool, and those that face the way of that other part, as a second layer
+        of it, (V,) bool.
     """
-    hidden = np.flatnonzero(~coverage.seen & (coverage.away <= FAR))
-    point = coverage.nearest[hidden]
+    near = np.flatnonzero(coverage.away <= FAR)
+    point = coverage.nearest[near]
     corners, weights = faces[coverage.face[point]], coverage.weights[point]
-    now, then = (
-        np.linalg.norm(np.einsum("nk,nki->ni", weights, x[corners]) - x[hidden], axis=1) for x in (vertices, shape)
-    )
-    found = np.zeros(len(vertices), dtype=bool)
-    found[hidden] = then > _APART * now + coverage.length[point]
-    return found
+
+    def there(values: np.ndarray) -> np.ndarray:
+        return np.einsum("nk,nki->ni", weights, values[corners])
+
+    now, then = (np.linalg.norm(there(x) - x[near], axis=1) for x in (vertices, shape))
+    normals = vertex_normals(vertices, faces)
+    cosine = (there(normals) * normals[near]).sum(axis=1)
+    apart = then > _APART * now + coverage.length[point]
+    hidden, layered = np.zeros((2, len(vertices)), dtype=bool)
+    hidden[near] = apart & ~coverage.seen[near]
+    layered[near] = apart & (cosine > _SAME_WAY)
+    return hidden, layered
 
 
 def noise_level(points: np.ndarray, tree, rng: np.random.Generator) -> float:

@@ -21,6 +21,7 @@ class FrameQuality:
     far:          share of the surface far from every point; on a partial scan that is no fault
     unseen:       share of the surface that the frame does not show, far or not
     doubled:      share of the surface that is near points of another part, and was apart from it in the shape
+    layered:      share of it that is so and faces the same way as that part: a second layer on it
     inner:        share of the surface that is far from every point and enclosed by them: a wall between what has parted
     torn:         share of the surface that is far from every point and stretched at that
     overhang:     share of the surface that lies far beyond points whose own surface closes
@@ -49,6 +50,7 @@ class FrameQuality:
     far: float | None
     unseen: float | None
     doubled: float | None
+    layered: float | None
     inner: float | None
     torn: float | None
     overhang: float | None

@@ -81,6 +81,14 @@ BOUNDS = (
         "below 1 % on bodies, up to 2.5 % on rough scans of a hand; crumpled and turned inside out 4 to 20 %",
     ),
     Bound(
+        "layered",
+        0.15,
+        _NEVER,
+        "{:.0%} of the surface lies on another part of it, as a second layer",
+        "below 1 % on bodies, 8 % where fingers overlap before one camera; two cells drawn over the one that they were "
+        "have 50 %",
+    ),
+    Bound(
         "blur",
         0.4,
         _NEVER,
