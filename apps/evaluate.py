@@ -87,7 +87,7 @@ def assess_run(run: SavedRun, clouds: Path | None = None) -> dict[str, Any]:
         display.start("load")
         sequence = clouds_of(run, clouds)
         display.start("assess", len(run.meshes), "frames")
-        return assess(sequence.all_frames(), run.vertices, run.faces, run.keyframe).as_dict()
+        return assess(sequence.judged_frames(), run.vertices, run.faces, run.keyframe).as_dict()
 
 
 def evaluate_run(

@@ -57,6 +57,8 @@ def test_an_odd_frame_is_a_gap_with_its_name(bar):
     sequence = leave_out_odd(PointSequence.from_arrays(clouds, names=[f"scan_{t}.ply" for t in range(10)]))
     assert sequence.frame_count == 10 and [gap.number for gap in sequence.gaps] == [0, 5]
     assert 5 not in sequence.numbers and len(sequence.points) == 8
+    np.testing.assert_array_equal(sequence.judged_frames()[5], clouds[5])
+    assert not len(sequence.all_frames()[5]) and not len(sequence.judged_frames()[0])
     line = next(line for line in sequence.warnings if line.startswith("frame 5 of 10"))
     assert "interpolated between the neighbours. Why: frame 5 (scan_5.ply) is unlike the frames around it" in line
 

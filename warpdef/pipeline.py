@@ -244,7 +244,7 @@ def _look(
 def _assess(result: Reconstruction, sequence: PointSequence, threads: int) -> dict:
     """What the clouds alone say of the result, for its report; the confidence goes into the result."""
     try:
-        found = assess(sequence.all_frames(), result.vertices, result.faces, result.keyframe, threads=threads)
+        found = assess(sequence.judged_frames(), result.vertices, result.faces, result.keyframe, threads=threads)
     except MissingPackageError as error:  # no reason to lose a finished fit
         return {"warnings": [f"the frames are not judged: {error}"]}
     result.confidence = found.confidence

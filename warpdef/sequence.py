@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,11 +18,13 @@ class Gap:
     """A frame of the input that has no usable points: its mesh is interpolated.
 
     number: index from 0 in the input. name: what it is called. why: one sentence.
+    points: (N, 3) of a frame that has some and was left out all the same: its mesh is judged by them; else None.
     """
 
     number: int
     name: str
     why: str
+    points: np.ndarray | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,11 @@ class PointSequence:
         for number, cloud in zip(self.numbers, self.points if clouds is None else clouds, strict=True):
             frames[number] = cloud
         return frames
+
+    def judged_frames(self) -> list[np.ndarray]:
+        """What every frame of the input is judged by: ``all_frames``, and those left out as unlike the others."""
+        left_out = {gap.number: gap.points for gap in self.gaps if gap.points is not None}
+        return [left_out.get(t, cloud) for t, cloud in enumerate(self.all_frames())]
 
     def all_normals(self) -> list[np.ndarray | None]:
         """Normals for every frame of the input; None for gaps and where unknown."""
@@ -256,8 +263,10 @@ class PointSequence:
         kept = tuple(replace(gaps[old], number=new) for new, old in enumerate(order) if old in gaps)
         return replace(self._chosen(chosen), gaps=kept, order=())
 
-    def without(self, reasons: Mapping[int, str]) -> PointSequence:
+    def without(self, reasons: Mapping[int, str], judged: bool = False) -> PointSequence:
         """The sequence with further gaps: why by frame number, one sentence each.
+
+        ``judged``: their meshes are judged by their points all the same.
 
         Raises:
             InputError: fewer than 2 frames are left.
@@ -266,7 +275,8 @@ class PointSequence:
         if len(left) < MIN_FRAMES:
             raise InputError(f"the sequence: expected at least {MIN_FRAMES} usable frames, got {len(left)}")
         names = self.frame_names
-        gaps = [*self.gaps, *(Gap(number, names[number], why) for number, why in reasons.items())]
+        points = dict(zip(self.numbers, self.points, strict=True)) if judged else {}
+        gaps = [*self.gaps, *(Gap(t, names[t], why, points.get(t)) for t, why in reasons.items())]
         return replace(self._chosen(left), gaps=tuple(sorted(gaps, key=lambda gap: gap.number)))
 
     def in_order(self, order: Sequence[int], note: str) -> PointSequence:

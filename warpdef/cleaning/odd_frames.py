@@ -66,4 +66,4 @@ def leave_out_odd(sequence: PointSequence) -> PointSequence:
         f"{times:.2g} times as far from them as frames are here, while those are alike; --no-drop-odd-frames keeps it"
         for t, times in odd.items()
     }
-    return sequence.without(reasons)
+    return sequence.without(reasons, judged=True)
