@@ -2,21 +2,22 @@
 
 The blocks come from point-to-plane residuals, L = D - A_mesh from rigidity. Preconditioned by the inverse of each
 diagonal block A_i + (beta + alpha degree) I. Frames are independent systems over the same mesh, each a block or cluster
-(``clusters``) that stops as soon as it is done; residuals are told and restarted from as in ``cg``. The operator is
-symmetric.
+(``clusters``) that stops as soon as it is done, or on the CPU a thread (``block_serial``); residuals are told and
+restarted from as in ``cg``. The operator is symmetric.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
+from warpdef.kernels.block_serial import solve_frames_serially
 from warpdef.kernels.blocks import block_options
 from warpdef.kernels.cg_functions import check_limits, ratio, worth_going_on
 from warpdef.kernels.clusters import CLUSTER, PARTIAL, cluster_lane, cluster_lanes, cluster_sum, cluster_wait
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.sizes import sizes
-from warpdef.kernels.ways import cluster_of, lanes_of
+from warpdef.kernels.ways import Way, cluster_of, lanes_of, way_of
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -172,12 +173,14 @@ class BlockSolver:
         self._limits = (float(tolerance), int(iterations_max))
         self._row = wp.array(graph.row, dtype=wp.int32, device=device)
         self._column = wp.array(graph.column, dtype=wp.int32, device=device)
-        self._inverse = wp.zeros(shape, dtype=wp.mat33, device=device)
-        self._r, self._p, self._ap = (wp.zeros(shape, dtype=wp.vec3, device=device) for _ in range(3))
+        self._way = way_of(device)
+        self._work: list[wp.array] = []
+        if self._way is Way.WHOLE:
+            self._work = [wp.zeros(shape, dtype=d, device=device) for d in (wp.mat33, wp.vec3, wp.vec3, wp.vec3)]
+            self._work.append(wp.zeros(frame_count * PARTIAL, dtype=wp.vec3, device=device))
         self.iterations = wp.zeros(frame_count, dtype=wp.int32, device=device)
         self.residual = wp.zeros(frame_count, dtype=wp.float32, device=device)
         self._team = lanes_of(device, BLOCK_LANES), cluster_of(device, CLUSTER)
-        self._partial = wp.zeros(frame_count * PARTIAL, dtype=wp.vec3, device=device)
 
     def solve(
         self, first: int, last: int, alpha: float, beta: float, matrix: wp.array, rhs: wp.array,
@@ -190,6 +193,8 @@ class BlockSolver:
             rhs, solution_out: shape (T, V) vec3.
         """
         system = [alpha, beta, self._row, self._column, matrix, rhs, *self._limits]
-        work = [self._inverse, self._r, self._p, self._ap, self._partial]
         results = [solution_out, self.iterations, self.residual]
-        launch(_solve_frames, last - first, [first, *system, *work, *results], self._device, *self._team)
+        if self._way is Way.SPANS:
+            launch(solve_frames_serially, last - first, [first, *system, *results], self._device)
+            return
+        launch(_solve_frames, last - first, [first, *system, *self._work, *results], self._device, *self._team)

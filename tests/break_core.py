@@ -120,6 +120,8 @@ BREAKS = [
           "a screw motion goes on the wrong way round"),
     Break("kernels/block_cg.py", "turn = ratio(sums[1], rz)", "turn = ratio(sums[0], rz)", ("block_cg",),
           "directions turned by the plain residual"),
+    Break("kernels/block_serial.py", "w + 3 * i, load(q + 3 * i)", "w + 3 * i, load(p + 3 * i)", ("block_cg",),
+          "on one core, directions without their blocks"),
     Break("kernels/cells.py", "odometer.data[group] += ", "odometer.data[group] = ", ("neighbours",),
           "targets' moves are forgotten"),
     Break("kernels/packets.py", "- 1.0001f * drift", "- 0.5f * drift", ("neighbours",),

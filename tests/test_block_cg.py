@@ -15,12 +15,13 @@ from warpdef.kernels.graphs import Graph, mesh_graph
 from warpdef.kernels.ways import Way, going
 
 FRAMES, ALPHA, BETA = 4, 0.3, 0.01
+SERIAL = 0
 
 
-@pytest.fixture(params=[1, 64], ids=["one lane", "64 lanes"])
+@pytest.fixture(params=[SERIAL, 1, 64], ids=["serial", "one lane", "64 lanes"])
 def lanes(request: pytest.FixtureRequest, device: str) -> int:
-    """Of a block on the CPU; CUDA has its own."""
-    if device != "cpu" and request.param == 1:
+    """Of a block on the CPU, or the CPU's own way; CUDA has its own number."""
+    if device != "cpu" and request.param != 64:
         pytest.skip("CUDA has many lanes")
     return request.param
 
@@ -57,8 +58,8 @@ class BlockSolve:
 
     def __init__(self, graph: Graph, device: str, lanes: int, tolerance=1e-5, iterations=300, frames=FRAMES):
         self.graph, self.device, self.frames = graph, wp.get_device(device), frames
-        self.lanes = lanes
-        with going(Way.WHOLE, lanes):
+        self.lanes, self.way = max(lanes, 1), Way.WHOLE if lanes else Way.SPANS
+        with going(self.way, self.lanes):
             self.solver = BlockSolver(graph, frames, tolerance, iterations, self.device)
 
     def __call__(self, matrix, rhs, alpha=ALPHA, beta=BETA, spans=None) -> np.ndarray:
@@ -66,7 +67,7 @@ class BlockSolve:
         asked = wp.array(rhs.astype(np.float32), dtype=wp.vec3, device=self.device)
         solution = wp.full(rhs.shape[:2], wp.vec3(7.0, 7.0, 7.0), dtype=wp.vec3, device=self.device)
         for first, last in spans or [(0, self.frames)]:
-            with going(Way.WHOLE, self.lanes):
+            with going(self.way, self.lanes):
                 self.solver.solve(first, last, alpha, beta, blocks, asked, solution)
         np.testing.assert_array_equal(asked.numpy(), rhs.astype(np.float32))
         return solution.numpy()
@@ -169,23 +170,25 @@ def test_frames_stop_apart(graph, system, device: str, lanes: int) -> None:
     assert (solve.residuals(matrix, rhs, solution) <= 2e-5).all()
 
 
-def test_single_frames_are_all_frames(graph, system) -> None:
+@pytest.mark.parametrize("lanes", [SERIAL, 1])
+def test_single_frames_are_all_frames(graph, system, lanes: int) -> None:
     """CPU: spans of frames, in any order, give the bits of one call."""
     matrix, rhs = system
-    whole, single = BlockSolve(graph, "cpu", 1), BlockSolve(graph, "cpu", 1)
+    whole, single = BlockSolve(graph, "cpu", lanes), BlockSolve(graph, "cpu", lanes)
     expected = whole(matrix, rhs)
     np.testing.assert_array_equal(single(matrix, rhs, spans=[(3, 4), (0, 1), (1, 3)]), expected)
     np.testing.assert_array_equal(single.iterations, whole.iterations)
     np.testing.assert_array_equal(single.told, whole.told)
 
 
-def test_a_span_leaves_the_others_alone(graph, system) -> None:
+@pytest.mark.parametrize("lanes", [SERIAL, 1])
+def test_a_span_leaves_the_others_alone(graph, system, lanes: int) -> None:
     matrix, rhs = system
-    solve = BlockSolve(graph, "cpu", 1)
+    solve = BlockSolve(graph, "cpu", lanes)
     solution = solve(matrix, rhs, spans=[(1, 2)])
     assert (solution[[0, 2, 3]] == 7).all() and (solution[1] != 7).any()
     np.testing.assert_array_equal(solve.iterations[[0, 2, 3]], 0)
-    np.testing.assert_array_equal(solution[1], BlockSolve(graph, "cpu", 1)(matrix, rhs)[1])
+    np.testing.assert_array_equal(solution[1], BlockSolve(graph, "cpu", lanes)(matrix, rhs)[1])
 
 
 def test_any_number_of_lanes_agrees(graph, system) -> None:
@@ -194,7 +197,7 @@ def test_any_number_of_lanes_agrees(graph, system) -> None:
     for limits in ({}, {"iterations": 5}):
         one = BlockSolve(graph, "cpu", 1, **limits)
         expected = one(matrix, rhs)
-        for lanes in (3, 32, 200):
+        for lanes in (SERIAL, 3, 32, 200):
             shared = BlockSolve(graph, "cpu", lanes, **limits)
             apart = np.linalg.norm((shared(matrix, rhs) - expected).reshape(FRAMES, -1), axis=1)
             # |x - x*| <= |r| / beta for each of the two: no eigenvalue is smaller. Five steps are the same five.

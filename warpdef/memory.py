@@ -74,10 +74,10 @@ def estimate_memory(points: Sequence[int], vertices: int, config: Config, cuda: 
     # transforms (2, on CUDA), or conjugate gradients (8, kept 2) with 6 neighbours a node.
     a_node = NODE * (4 + (2 if cuda else 0)) if direct else NODE * (4 + 8 + 2) + 2 * 4 * 9
     # A vertex of a frame is searched for and searches; the vertex stage adds matrices, rotations, normals, places to go
-    # back to and, where a frame is incomplete, expected; and the conjugate gradients of 3x3 blocks.
+    # back to and, where a frame is incomplete, expected; on CUDA also the conjugate gradients of 3x3 blocks.
     a_vertex = _SORTED + _SEARCH + INDEX
     if config.refine.iterations:
-        a_vertex += 2 * MATRIX + 4 * VECTOR + MATRIX + 3 * VECTOR
+        a_vertex += 2 * MATRIX + 4 * VECTOR + (MATRIX + 3 * VECTOR if cuda else 0)
     per_point = 8 if cuda else 3
 
     def cells(targets: int) -> int:
