@@ -120,6 +120,8 @@ BREAKS = [
           "a screw motion goes on the wrong way round"),
     Break("kernels/block_cg.py", "turn = ratio(sums[1], rz)", "turn = ratio(sums[0], rz)", ("block_cg",),
           "directions turned by the plain residual"),
+    Break("warpdef/fit/terms.py", "<= bound * self._floor", "<= 2.0 * bound * self._floor", ("guide_arrives",),
+          "a guide stops at twice what is left"),
     Break("kernels/block_serial.py", "w + 3 * i, load(q + 3 * i)", "w + 3 * i, load(p + 3 * i)", ("block_cg",),
           "on one core, directions without their blocks"),
     Break("kernels/cells.py", "odometer.data[group] += ", "odometer.data[group] = ", ("neighbours",),

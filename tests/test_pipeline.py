@@ -58,8 +58,9 @@ def test_a_cloud_sequence_becomes_a_moving_mesh(truth, clouds, device: str) -> N
     after = max(off(truth, result.vertices))
     assert after < 0.1 * before
     assert {p.phase for p in heard} == {"template", "compile", "optimise", "refine"}
-    assert [p.iteration for p in heard if p.phase == "optimise"] == list(range(10, 121, 10))
-    assert [s["iteration"] for s in result.steps] == list(range(10, 121, 10))
+    # No more iterations than it takes to arrive.
+    assert [s["iteration"] for s in result.steps] == [10, 20, 30, 40]
+    assert [p.iteration for p in heard if p.phase == "optimise"] == [10, 20, 30, 40]
 
 
 def off(truth: synthetic.Synthetic, vertices: np.ndarray) -> list[float]:

@@ -21,6 +21,7 @@ from warpdef.fit import saving
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.refine import Refinement
+from warpdef.fit.terms import InputTerm
 from warpdef.mesh import TriMesh
 from warpdef.presets import preset
 from warpdef.progress import Clock, Interruption, Limits, Progress
@@ -71,6 +72,15 @@ def cut_at(phase: str, iteration: int, config: Config, path: Path) -> None:
 @pytest.fixture(autouse=True)
 def a_checkpoint_at_every_look(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(saving, "_SHARE", 1e9)
+
+
+@pytest.fixture(autouse=True)
+def some_arrive_and_some_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All transitions would after 40 iterations, and tests here count on 60: the last one never does."""
+    arrived = InputTerm.arrived
+    monkeypatch.setattr(
+        InputTerm, "arrived", lambda term, bound: arrived(term, bound) & (np.arange(len(term.loss)) < 2)
+    )
 
 
 def assert_same(found: warpdef.Reconstruction, expected: warpdef.Reconstruction) -> None:

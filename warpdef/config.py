@@ -209,7 +209,7 @@ class OptimiserConfig:
     points: int = 5000
     """Points a frame, evenly spread, that grids are fitted to; 0: all. The vertices are always fitted to all."""
     iterations: int = 100
-    """Iterations for up to 17 frames."""
+    """Iterations for up to 17 frames, at most: cloud to cloud a transition that has arrived is left alone earlier."""
     iterations_per_frame: float = 0.0
     """Further iterations for every frame beyond 17."""
     warmup: int = 50

@@ -94,10 +94,13 @@ class Objective:
 
     # Phases.
 
-    def phases(self, warmup: bool) -> list[Phase]:
-        """All phases of an evaluation; during warm-up only the input and mesh terms, without a chain the input term."""
+    def phases(self, warmup: bool, guided: list[tuple[int, int]] | None = None) -> list[Phase]:
+        """All phases of an evaluation; during warm-up only the input and mesh terms, without a chain the input term.
+
+        ``guided``: spans of transitions that the input term is asked of, all if not given.
+        """
         p = self.problem
-        clouds = [partial(self.input.run, a, b) for a, b in p.transition_spans()]
+        clouds = [partial(self.input.run, a, b) for a, b in (p.transition_spans() if guided is None else guided)]
         if not p.config.optimiser.chain:
             return [Phase("move", clouds)]
         if warmup:

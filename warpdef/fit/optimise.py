@@ -1,6 +1,9 @@
 """The descent on grids and template: preconditioned Adam (paper, sec. Spatial Smoothness, Implementation Details).
 
 Grids and template start from x = 0 and the mesh, u = (I + lambda L) x.
+
+As a guide, cloud to cloud, a transition is left alone once it has arrived: when its loss is about what two samplings of
+one surface leave. Clouds that are noisy or show only part of a surface leave more, and take all iterations.
 """
 
 from __future__ import annotations
@@ -24,7 +27,10 @@ from warpdef.kernels.motion import template_gradient
 from warpdef.kernels.schedule import SCHEDULE_SIZE, advance
 from warpdef.kernels.vectors import copy_vectors
 
+_ARRIVED = 1.9  # times the loss that two samplings of one surface leave; no transition stays above it once it fits
+_FIRST_LOOK = 40  # iterations before which rates are too high to stop at
 _SOLVES = ("grid_gradient", "grid_value", "shape_gradient", "shape_value")  # whose last solutions are state
+_COUNTS = ("iteration", "moving", "loss")  # of the state, what is no parameter
 
 
 class Optimiser:
@@ -56,15 +62,20 @@ class Optimiser:
         self.objective = Objective(problem, self.grids.x, self.grids.adj_x, self._schedule)
         self.rate_scale = 1.0
         self.solves = SolveReport(solver_name(problem.config))
+        # Which transitions still move: part of the state, hence on the device, and what is known of it here.
+        self._moving = problem.integers(np.ones(len(problem.transitions)))
+        self._guides = self._moving.numpy().astype(bool)
         self._not_finite = wp.zeros(1, dtype=wp.int32, device=device)
         self._kept: dict[str, wp.array] = {}
         self._kept_done = 0
         checks = [
-            partial(flag_not_finite, a, self._not_finite) for name, a in self._state().items() if name != "iteration"
+            partial(flag_not_finite, a, self._not_finite) for name, a in self._state().items() if name not in _COUNTS
         ]
         self._check = Iteration([Phase("check", checks)], device, team, capture=False)
         self._warmup = Iteration(self._phases(warmup=True), device, team, capture)
         self._full = Iteration(self._phases(warmup=False), device, team, capture)
+        self._fewer: Iteration | None = None  # of the transitions that still move, where some do not
+        self._how = device, team, capture
 
     def kernels(self) -> list[wp.Kernel]:
         """All that iterations, looks and ``finish`` launch."""
@@ -92,6 +103,8 @@ class Optimiser:
         state = {"iteration": self._iteration, "u": g.u, "nodes": g.x, "shape_u": s.u, "shape": s.x}
         state |= {"first_moment": g.first_moment, "second_moment": g.second_moment}
         state |= {"shape_first_moment": s.first_moment, "shape_second_moment": s.second_moment}
+        if not self.config.chain:
+            state |= {"moving": self._moving, "loss": self.objective.input.loss}
         for name, solver in zip(_SOLVES, self._solvers(), strict=True):
             state |= {f"{name}_{i}": a for i, a in enumerate(solver.memory())}
         return state
@@ -118,6 +131,7 @@ class Optimiser:
         for name, array in self._state().items():
             wp.copy(array, self._kept[name])
         self.done = self._kept_done
+        self._read_moving()
         self.objective.forget()
 
     def slow_down(self, scale: float) -> None:
@@ -143,19 +157,39 @@ class Optimiser:
         for name, array in mine.items():
             array.assign(state[name])
         self.done = int(state["iteration"][0])
+        self._read_moving()
         self.slow_down(rate_scale)
         self.keep()
 
     def iterate(self) -> None:
         """One iteration; on CUDA it returns before the device is done."""
-        (self._warmup if self.done < self.config.warmup else self._full).run()
+        (self._fewer or (self._warmup if self.done < self.config.warmup else self._full)).run()
         self.done += 1
 
+    @property
+    def ended(self) -> bool:
+        """Whether all iterations are done, or no transition moves any more."""
+        return self.done >= self.iterations or not self._guides.any()
+
     def look(self) -> dict[str, float]:
-        """Losses of the last iteration; notes what the solves did. Waits for the device."""
+        """Losses of the last iteration; notes what the solves did, and which transitions arrived. Waits for the device.
+
+        A transition that arrived keeps the loss that it had then.
+        """
         for solver in self._solvers():
             solver.look(self.solves)
+        if not self.config.chain and self.done >= _FIRST_LOOK:
+            self._moving.assign((self._guides & ~self.objective.input.arrived(_ARRIVED)).astype(np.int32))
+            self._read_moving()
         return self.objective.losses()
+
+    def _read_moving(self) -> None:
+        """Go on with the transitions that the state says."""
+        moving = self._moving.numpy().astype(bool)
+        if (moving != self._guides).any():
+            self._guides, self._fewer = moving, None
+            if moving.any() and not moving.all() and self.problem.way is Way.SPANS:
+                self._fewer = Iteration(self._guide_phases(), *self._how)
 
     def finish(self) -> None:
         """Move ``objective.vertices`` to where the parameters, as they are now, put them."""
@@ -190,8 +224,9 @@ class Optimiser:
     # Phases.
 
     def _guide_phases(self) -> list[Phase]:
-        """Grids alone: no vertex is moved, and the template stays as it is."""
-        grids, spans, everything = self.grids, self.problem.transition_spans(), (0, len(self.problem.transitions))
+        """Grids alone, of transitions that still move: no vertex is moved, and the template stays as it is."""
+        grids, everything = self.grids, (0, len(self.problem.transitions))
+        spans = [span for span in self.problem.transition_spans() if self._guides[slice(*span)].any()]
         if not grids.direct:
             last = [Phase("descend", [partial(grids.step, a, b) for a, b in spans])]
         else:
@@ -200,7 +235,7 @@ class Optimiser:
                 Phase("descend", [partial(grids.descend_grids, a, b) for a, b in spans]),
                 Phase("value solves", [partial(grids.solve_values, *everything)], direct=True),
             ]
-        return [Phase("advance", [self._advance]), *self.objective.phases(warmup=True), *last]
+        return [Phase("advance", [self._advance]), *self.objective.phases(warmup=True, guided=spans), *last]
 
     def _phases(self, warmup: bool) -> list[Phase]:
         if not self.config.chain:

@@ -67,12 +67,12 @@ class FitRun:
         self._began_at = o.done
         begun = self.limits.seconds
         self._save_if_due()
-        while o.done < o.iterations and not self.stopped:
+        while not o.ended and not self.stopped:
             o.iterate()
             if o.done % LOOK_EVERY == 0 or o.done == o.iterations:
                 self._look()
                 self._save_if_due()
-            if o.done < o.iterations:
+            if not o.ended:
                 self.stopped = self.stopped or self.limits.reason(self._vertex_seconds(begun))
         if self.stopped:
             self._save_and_end()

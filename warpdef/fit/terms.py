@@ -92,10 +92,11 @@ class InputTerm:
         self._weight = p.numbers(np.full(transitions, self._factor))
         self._robust = (config.robust_alpha, config.robust_power, config.tangential)
         self._shares = _shares(p, p.moved_sizes), _shares(p, sample.sizes[ends.target])
+        # Fewer points on the same surface stand farther apart.
+        spacing = p.measures.spacing * np.sqrt(p.cloud_sizes / sample.sizes)
+        self._floor = self._floors(spacing)
         searches, self._sides = self.correspondences, (BOTH_SIDES, BOTH_SIDES)
         if not p.measures.complete.all():
-            # Fewer points on the same surface stand farther apart.
-            spacing = p.measures.spacing * np.sqrt(p.cloud_sizes / sample.sizes)
             reach = _REACH_CLOUDS * (spacing[ends.source] + spacing[ends.target])
             self._sides = (
                 (searches.back.index, _one_sided(p, reach, ends.target, np.inf)),
@@ -124,6 +125,23 @@ class InputTerm:
         adj_move_points(
             begin, count, chain.levels, p.origin, p.moved_transition, self.rotation, self.adj_points, self._adj_nodes
         )
+
+    def _floors(self, spacing: np.ndarray) -> np.ndarray:
+        """The loss of a transition between two samplings of one plane, shape (S,); 0 where a frame shows less than all.
+
+        Of points thrown at random, the nearest of another throw lies at a mean square of 4 / pi times the square of
+        the spacing (the mean distance to the nearest fellow), all of it along the surface.
+        """
+        p, ends = self._problem, self._problem.transitions
+        forth, back = (share.numpy().astype(float) for share in self._shares)
+        forth *= p.moved_sizes * spacing[ends.target] ** 2
+        back *= p.sample.sizes[ends.target] * spacing[ends.source] ** 2
+        whole = p.measures.complete[ends.source] & p.measures.complete[ends.target]
+        return np.where(whole, 4.0 / np.pi * p.config.loss.tangential * (forth + back), 0.0)
+
+    def arrived(self, bound: float) -> np.ndarray:
+        """Which transitions leave no more than ``bound`` times what two samplings of one surface do, shape (S,)."""
+        return self.loss.numpy() <= bound * self._floor
 
     def losses(self) -> dict[str, float]:
         """As it enters the objective."""
