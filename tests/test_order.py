@@ -33,9 +33,11 @@ def test_a_shuffled_film_comes_back_in_its_order(bar: list[np.ndarray], seed: in
 def test_films_stay_as_they_are(bar: list[np.ndarray], rng: np.random.Generator) -> None:
     still = [cloud + rng.normal(scale=0.02, size=cloud.shape) for cloud in [bar[0]] * FRAMES]
     slip = [cloud + [2.0 * (t == 5), 0, 0] for t, cloud in enumerate(bar)]
+    turn = [np.stack([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]]) for a in np.arange(FRAMES)]
+    fast = [cloud @ r for cloud, r in zip(bar, turn, strict=True)]  # by 57 degrees a frame
     takes = [*bar[:5], *(cloud + [3.0, 0, 0] for cloud in bar[5:])]
     turning = turning_ellipsoid(FRAMES, 500, rng).clouds
-    for film in (bar, bar[::-1], [*bar, *bar[-2::-1], *bar], still, slip, takes, turning):
+    for film in (bar, bar[::-1], [*bar, *bar[-2::-1], *bar], still, slip, takes, turning, fast):
         assert order_by_pose(film) is None
 
 

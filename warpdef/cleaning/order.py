@@ -4,7 +4,8 @@ Neighbours of a film are more alike than frames picked at random (``geometry.pos
 are not: the mean rank of the T - 1 differences of neighbours among all differences is what chance gives, less than
 ``CHANCE`` deviations below one half, their median is not far below that of all, and poses differ by more than sampling.
 A frame or two from elsewhere do not change ranks or medians; a body that stands still differs by sampling alone; one
-that moves so fast that a frame tells nothing of the next is a set of poses, too.
+that moves so fast that a frame tells nothing of the next is a set of poses, too. But what turns is a film, however
+fast: one rotation about an axis of the coordinates, the same for all neighbours, makes them alike.
 
 The order is a walk through the minimum spanning tree of the differences, small branches first: each scan stands behind
 one that is like it, but for the returns from the ends of branches.
@@ -24,6 +25,8 @@ RATIO = 0.6  # of the medians; films have 0.06 to 0.56, 0.67 on a turntable by 3
 STANDS_OUT = 2.0  # of the difference between halves of a cloud: what the median difference must be
 LEAST_FRAMES = 8  # fewer tell too little
 _PAIRS = 800  # that speak for all
+_TURN_STEP = 15.0  # degrees between the rotations tried
+_TURN_PAIRS, _TURN_POINTS = 12, 500  # neighbours on which they are, and points of each
 
 
 def order_by_pose(clouds: Sequence[np.ndarray]) -> list[int] | None:
@@ -31,7 +34,7 @@ def order_by_pose(clouds: Sequence[np.ndarray]) -> list[int] | None:
     if len(clouds) < LEAST_FRAMES:
         return None
     fields, halves = pose_fields(clouds)
-    return _walk(fields) if _in_no_order(fields, halves) else None
+    return _walk(fields) if _in_no_order(fields, halves) and not turns(clouds) else None
 
 
 def put_in_order(sequence: PointSequence) -> PointSequence:
@@ -58,6 +61,23 @@ def _in_no_order(fields: np.ndarray, halves: float) -> bool:
     below = (0.5 - float(rank.mean())) * np.sqrt(12.0 * (count - 1))
     middle = float(np.median(pairs))
     return below < CHANCE and float(np.median(near)) > RATIO * middle and middle > STANDS_OUT * halves
+
+
+def turns(clouds: Sequence[np.ndarray]) -> bool:
+    """Whether one rotation of each scan makes it more like the one before: the median difference of neighbours, their
+    centres on one place, falls below ``RATIO`` of what it is."""
+    from scipy.spatial.transform import Rotation
+
+    at = np.unique(np.linspace(0, len(clouds) - 2, _TURN_PAIRS).astype(int))
+    centred = {t: clouds[t][:: max(len(clouds[t]) // _TURN_POINTS, 1)] for t in {*at, *(at + 1)}}
+    centred = {t: cloud - cloud.mean(axis=0) for t, cloud in centred.items()}
+    angles = np.radians(np.arange(_TURN_STEP, 360.0, _TURN_STEP))
+    tried = [np.eye(3), *(Rotation.from_rotvec(a * axis).as_matrix() for axis in np.eye(3) for a in angles)]
+    turned = [centred[t + 1] @ turn for turn in tried for t in at]
+    fields, _ = pose_fields([*(centred[t] for t in at), *turned])
+    apart = [np.abs(fields[k % len(at)] - field).mean() for k, field in enumerate(fields[len(at) :])]
+    medians = np.median(np.reshape(apart, (len(tried), len(at))), axis=1)
+    return bool(medians[1:].min() < RATIO * medians[0])
 
 
 def _walk(fields: np.ndarray) -> list[int]:
