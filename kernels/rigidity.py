@@ -5,7 +5,8 @@
 over the edges of the mesh, with x the vertices of frame t, y one rest shape for all frames, R rotations. Each of the
 three unknowns has its own step: ``fit_rotations`` is the best R for x and y (by Newton's method from the last one, else
 by singular values); ``rigid_rhs`` is minus half the gradient to x; ``rest_rhs`` is minus half the gradient to y, at
-y = 0, over the number of frames.
+y = 0, over the number of frames. Where frames show parts, ``trusted_rest_rhs`` takes the mean of each edge over those
+that show it, so that the same L y = b is solved.
 """
 
 from __future__ import annotations
@@ -160,6 +161,38 @@ def _rest_rhs(
     rhs_out[i] = total / float(frames.shape[0])
 
 
+@sizes("threads rest rhs_out: V; row: V+1; column: E; trust rotation vertices: T V")
+@wp.kernel
+def _trusted_rest_rhs(
+    # In:
+    begin: int,
+    staying: float,
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    rest: wp.array[wp.vec3],
+    trust: wp.array2d[wp.float32],
+    rotation: wp.array2d[wp.mat33],
+    vertices: wp.array2d[wp.vec3],
+    # Out:
+    rhs_out: wp.array[wp.vec3],
+):
+    """One thread a vertex: what the frames that show an edge, turned back, say of it."""
+    i = begin + wp.tid()
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for e in range(row[i], row[i + 1]):
+        j = column[e]
+        asked = staying * (rest[i] - rest[j])
+        sum = staying
+        for t in range(vertices.shape[0]):
+            w = trust[t, i] * trust[t, j]
+            if w > 0.0:
+                d = vertices[t, i] - vertices[t, j]
+                asked += (0.5 * w) * (wp.transpose(rotation[t, i] + rotation[t, j]) * d)
+                sum += w
+        total += asked / sum
+    rhs_out[i] = total
+
+
 def fit_rotations(
     begin: int, count: int, row: wp.array, column: wp.array, rest: wp.array, vertices: wp.array,
     rotation: wp.array,
@@ -191,3 +224,17 @@ def rest_rhs(
         frames: those that are asked, shape (A,) int32, at least one. All else as in ``fit_rotations``.
     """
     launch(_rest_rhs, count, [begin, frames, row, column, rotation, vertices, rhs_out], vertices.device)
+
+
+def trusted_rest_rhs(
+    begin: int, count: int, staying: float, row: wp.array, column: wp.array, rest: wp.array, trust: wp.array,
+    rotation: wp.array, vertices: wp.array, rhs_out: wp.array,
+) -> None:  # fmt: skip
+    """The same, where each edge is asked of the frames that show it.
+
+    Args:
+        staying: weight of the edge as it is in ``rest``, above 0, against one frame that shows it.
+        trust: shape (T, V) float32, how well a frame shows a vertex, from 0 to 1; an edge by the product of its ends.
+    """
+    inputs = [begin, staying, row, column, rest, trust, rotation, vertices, rhs_out]
+    launch(_trusted_rest_rhs, count, inputs, vertices.device)

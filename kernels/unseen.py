@@ -78,6 +78,30 @@ def _expected_places(
     expected_out[t, i] = on_screw(p, q, turn, share[t])
 
 
+@wp.func
+def seen_weight(pairs: Pairs, vertex: int, frame: int) -> float:
+    """How well a frame shows a vertex: 1 on its points, 0 far from them, on their other side and beyond their end."""
+    j = pairs.nearest[vertex]
+    seen = float(0.0)
+    if j >= 0:
+        seen = wp.length_sq(pair_plane(pairs, vertex, j)) * own_weight(pairs, vertex, j, frame)
+    return seen
+
+
+@sizes("threads: K=P; trust_out: P")
+@wp.kernel
+def _seen_weights(
+    # In:
+    begin: int,
+    pairs: Pairs,
+    # Out:
+    trust_out: wp.array[wp.float32],
+):
+    """One thread a vertex of a frame."""
+    i = begin + wp.tid()
+    trust_out[i] = seen_weight(pairs, i, pairs.frame[i])
+
+
 @sizes("threads: K=P; expected matrix_out rhs_out: P; hold: T")
 @wp.kernel
 def _hold_unseen(
@@ -93,12 +117,8 @@ def _hold_unseen(
     """One thread a vertex of a frame."""
     i = begin + wp.tid()
     t = pairs.frame[i]
-    j = pairs.nearest[i]
     if hold[t] > 0.0:
-        seen = float(0.0)
-        if j >= 0:
-            seen = wp.length_sq(pair_plane(pairs, i, j)) * own_weight(pairs, i, j, t)
-        h = hold[t] * wp.max(1.0 - seen, 0.0)
+        h = hold[t] * wp.max(1.0 - seen_weight(pairs, i, t), 0.0)
         matrix_out[i] = matrix_out[i] + h * wp.identity(n=3, dtype=float)
         rhs_out[i] = rhs_out[i] + h * (expected[i] - pairs.vertices[i])
 
@@ -115,6 +135,11 @@ def expected_places(
     """
     inputs = [begin, near, far, share, vertices, rotation, expected_out]
     launch(_expected_places, count, inputs, vertices.device)
+
+
+def seen_weights(begin: int, count: int, pairs: Pairs, trust_out: wp.array) -> None:
+    """1 - u of vertices ``begin .. begin + count`` of all frames: shape (T V,) float32; pairs by vertex."""
+    launch(_seen_weights, count, [begin, pairs, trust_out], trust_out.device)
 
 
 def hold_unseen(

@@ -146,7 +146,7 @@ BREAKS = [
           "a parabola reaches over long gaps"),
     Break("warpdef/fit/measures.py", "distance[:, 1].mean()", "distance[:, 2].mean()", ("refine",),
           "spacing to the second fellow"),
-    Break("warpdef/fit/embedded.py", "np.sqrt(rigidity / max(len(j), 1))", "np.sqrt(rigidity)", ("embedded",),
+    Break("warpdef/fit/embedded.py", "scale = rigidity / max(len(j), 1)", "scale = rigidity", ("embedded",),
           "rigidity grows with the number of links"),
     Break("warpdef/fit/recover.py", "return 2.0 * keyframe_uncovered + LOST", "return LOST", ("recover",),
           "a sparse keyframe makes all frames lost"),

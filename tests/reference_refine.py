@@ -59,6 +59,20 @@ def rest_rhs(x: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> np.ndarr
     return rhs
 
 
+def trusted_rest_rhs(
+    x: np.ndarray, y: np.ndarray, rotation: np.ndarray, trust: np.ndarray, staying: float, edges: np.ndarray
+) -> np.ndarray:
+    """The same, of each edge the mean over the frames that show it, and of the edge as it is in y (V, 3)."""
+    i, j = edges.T
+    weight = trust[:, i] * trust[:, j]
+    turned = np.einsum("te,teba,teb->ea", weight, 0.5 * (rotation[:, i] + rotation[:, j]), x[:, i] - x[:, j])
+    mean = (turned + staying * (y[i] - y[j])) / (weight.sum(axis=0) + staying)[:, None]
+    rhs = np.zeros(y.shape)
+    np.add.at(rhs, i, mean)
+    np.add.at(rhs, j, -mean)
+    return rhs
+
+
 # Planes.
 
 

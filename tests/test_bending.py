@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import synthetic
 from leg_samples import DEGREE, body
+from scipy.spatial import cKDTree
 
 from warpdef.config import Config
 from warpdef.device import find_device
-from warpdef.fit.bending import NODES, Bending, SeenCloud
+from warpdef.fit.bending import FAULTLESS, NODES, Bending, Picture, SeenCloud
 from warpdef.fit.embedded import DeformationGraph, Pose
 from warpdef.fit.follow import follow
 from warpdef.fit.optimise import Optimiser
@@ -70,6 +71,64 @@ def test_a_limb_out_of_sight_stays_whole():
     assert 0.9 < np.quantile(stretch[on], 0.05) and np.quantile(stretch[on], 0.95) < 1.1
 
 
+def hand(step: float = 0.03) -> tuple[np.ndarray, np.ndarray]:
+    """A flat palm with three fingers of 0.15 x 1, 0.3 apart, in the plane z = 0, facing +z."""
+    x, y = np.meshgrid(np.arange(-0.1, 0.9, step), np.arange(-0.5, 1.0, step), indexing="ij")
+    on = (y < 0.0) | ((x % 0.3 < 0.15) & (x >= 0.0) & (x < 0.8))
+    number = np.full(x.shape, -1)
+    number[on] = np.arange(on.sum())
+    quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = quads[(quads >= 0).all(axis=1)]
+    places = np.column_stack([x[on], y[on], np.zeros(on.sum())])
+    return places, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def test_fingers_that_swing_past_their_neighbours_places_find_their_own():
+    """Tips move by 0.5, a finger's place is 0.3: nearest neighbours leave fingers on the place of others."""
+    rest, faces = hand()
+    there = rest + [[0.5, 0.0, 0.0]] * np.maximum(rest[:, 1:2], 0.0)
+    bending, cloud = bending_of(rest, faces), SeenCloud.of(there, np.tile(EYE, (len(there), 1)))
+    pose = bending.onto(cloud, bending.still())
+    assert np.linalg.norm(bending.place(pose) - there, axis=1).max() < 0.15
+    assert bending.fault(cloud, pose) < FAULTLESS < bending.fault(cloud, bending.still())
+
+
+def test_a_finger_on_the_place_of_another_is_a_fault():
+    rest, faces = hand()
+    bending, cloud = bending_of(rest, faces), SeenCloud.of(rest, np.tile(EYE, (len(rest), 1)))
+    finger = (rest[:, 0] > 0.59) & (rest[:, 1] > 0.1)
+    there = rest - [[0.3, 0.0, 0.0]] * finger[:, None]
+    pose = bending.pose_of(there)
+    assert bending.fault(cloud, bending.still()) == 0.0
+    # Its points are uncovered, and it lies on vertices far from it: each a share of its size.
+    assert bending.fault(cloud, pose) > 1.5 * finger.mean()
+
+
+def test_what_the_camera_would_have_seen_is_pushed_out_of_sight():
+    """A finger that the points do not show may be anywhere but where the camera looks at nothing."""
+    rest, faces = hand()
+    shown = (rest[:, 0] < 0.59) | (rest[:, 1] < 0.0)
+    bending = bending_of(rest, faces)
+    normals = np.tile(EYE, (shown.sum(), 1))
+    beside = []
+    for view in (None, EYE):
+        cloud = SeenCloud.of(rest[shown], normals, view)
+        placed = bending.place(bending.onto(cloud, bending.still()))
+        beside.append(cKDTree(rest[shown][:, :2]).query(placed[~shown][:, :2])[0].mean())
+        assert np.quantile(closest_on_surface(cloud.points, placed, faces)[0], 0.95) < 0.03
+    assert beside[1] < 0.5 * beside[0]
+
+
+def test_a_picture_is_contradicted_beside_its_points_and_before_them():
+    x, y = np.meshgrid(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 21))
+    picture = Picture.of(np.column_stack([x.ravel(), y.ravel(), np.zeros(441)]), EYE)
+    places = np.array([[0.5, 0.5, 0.0], [0.5, 0.5, -0.7], [0.5, 0.5, 0.6], [1.4, 0.5, -0.3]])
+    which, allowed, way = picture.contradicts(places, 0.1)
+    np.testing.assert_array_equal(which, [2, 3])
+    np.testing.assert_allclose(allowed, [[0.5, 0.5, 0.0], [1.0, 0.5, -0.3]], atol=1e-12)
+    np.testing.assert_allclose(way, [[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]], atol=1e-12)
+
+
 def test_points_are_not_met_by_the_far_side():
     """A thin plate; what is seen moves through it to where the far side was: the near side must follow, facing."""
     direction, faces = synthetic.icosphere(3)
@@ -118,7 +177,7 @@ def test_clouds_of_one_camera_are_followed_by_bending():
     clouds, normals = ([a[s] for a, s in zip(all_, shown, strict=True)] for all_ in (turning.clouds, turning.normals))
     config = replace(Config(), grid=replace(Config().grid, levels=3))
     device = find_device("cpu")
-    problem = Problem(clouds, normals, turning.vertices[2], turning.faces, 2, config, device, seen=True)
+    problem = Problem(clouds, normals, turning.vertices[2], turning.faces, 2, config, device, view=EYE)
     assert not problem.measures.complete.any()
     with closing(Team(1)) as team:
         optimiser = Optimiser(problem, 1, team)
@@ -176,7 +235,7 @@ def test_what_one_camera_does_not_see_is_held_where_the_bending_left_it():
     config = replace(Config(), grid=replace(Config().grid, levels=3))
     with closing(Team(1)) as team:
         problem = Problem(
-            clouds, normals, turning.vertices[1], turning.faces, 1, config, find_device("cpu"), seen=True
+            clouds, normals, turning.vertices[1], turning.faces, 1, config, find_device("cpu"), view=EYE
         )  # fmt: skip
         optimiser = Optimiser(problem, 1, team)
         optimiser.finish()

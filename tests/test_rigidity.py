@@ -12,7 +12,7 @@ from gradients import assert_gradients_close, finite_differences, gradient_of
 
 from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.graphs import mesh_graph
-from warpdef.kernels.rigidity import fit_rotations, rest_rhs, rigid_rhs
+from warpdef.kernels.rigidity import fit_rotations, rest_rhs, rigid_rhs, trusted_rest_rhs
 
 WHOLE = (0, None)
 
@@ -52,6 +52,13 @@ class Mesh:
         asked = wp.array(asked.astype(np.int32), dtype=wp.int32, device=self.device)
         for begin, count in self.spans(cuts, self.count):
             rest_rhs(begin, count, asked, self.row, self.column, turned, moving, out)
+        return out.numpy()
+
+    def trusted_rest_rhs(self, x, y, rotation, trust, staying: float = 0.05, cuts=WHOLE) -> np.ndarray:
+        moving, rest, turned = self.put(x), self.put(y), self.put(rotation, wp.mat33)
+        weight, out = self.put(trust, wp.float32), self.put(np.full(y.shape, np.nan))
+        for begin, count in self.spans(cuts, self.count):
+            trusted_rest_rhs(begin, count, staying, self.row, self.column, rest, weight, turned, moving, out)
         return out.numpy()
 
 
@@ -222,6 +229,28 @@ def test_rest_rhs_is_minus_half_the_gradient_at_zero_over_the_frames(mesh: Mesh,
     x, y, rotation = state
     slope = finite_differences(lambda a: twin.rigid_energy(x, a, rotation, mesh.edges), np.zeros_like(y))
     assert_gradients_close(mesh.rest_rhs(x, rotation), -0.5 * slope / len(x))
+
+
+def test_an_edge_is_asked_of_the_frames_that_show_it(mesh: Mesh, state, rng: np.random.Generator) -> None:
+    x, y, rotation = state
+    trust = rng.random(x.shape[:2]) * (rng.random(x.shape[:2]) > 0.3)
+    found = mesh.trusted_rest_rhs(x, y, rotation, trust)
+    assert_gradients_close(found, twin.trusted_rest_rhs(x, y, rotation, trust, 0.05, mesh.edges))
+    spans = mesh.trusted_rest_rhs(x, y, rotation, trust, cuts=(0, 1, 30, None))
+    np.testing.assert_array_equal(spans, found)
+    # A frame that shows nothing is never heard.
+    other, trust[1] = x.copy(), 0.0
+    other[1] = rng.normal(size=x[1].shape)
+    heard = (mesh.trusted_rest_rhs(places, y, rotation, trust) for places in (x, other))
+    np.testing.assert_array_equal(*heard)
+
+
+def test_frames_that_show_all_say_what_they_say_together_and_what_none_shows_stays(mesh: Mesh, state) -> None:
+    x, y, rotation = state
+    whole = mesh.trusted_rest_rhs(x, y, rotation, np.ones(x.shape[:2]), staying=1e-6)
+    assert_gradients_close(whole, twin.rest_rhs(x, rotation, mesh.edges))
+    nothing = mesh.trusted_rest_rhs(x, y, rotation, np.zeros(x.shape[:2]))
+    assert_gradients_close(nothing, twin.laplacian(mesh.edges, mesh.count) @ y)
 
 
 def test_both_right_hand_sides_match_autodiff(mesh: Mesh, state) -> None:

@@ -12,7 +12,7 @@ from present import present
 from test_planes import PlaneScene, put, spans
 
 from warpdef.fit.unseen import _around
-from warpdef.kernels.unseen import expected_places, hold_unseen
+from warpdef.kernels.unseen import expected_places, hold_unseen, seen_weights
 
 
 def expected(device: str, vertices, rotation, near, far, share, cuts=(0,)) -> np.ndarray:
@@ -100,6 +100,16 @@ def test_holding_matches_the_twin(held: Held) -> None:
         assert found[:30].any() and not found[30:].any()
     for found, fresh in zip(held.run(start=5.0, cuts=(0, 7, 31)), held.run(), strict=True):
         np.testing.assert_allclose(found, fresh + 5.0, rtol=0, atol=1e-5)
+
+
+def test_trust_is_what_is_not_held(held: Held) -> None:
+    h, _ = held.twin()
+    out = put(np.full(held.count, np.nan), wp.float32, held.device)
+    for begin, count in spans((0, 7, 31), held.count):
+        seen_weights(begin, count, held.pairs("met"), out)
+    trust = out.numpy()
+    np.testing.assert_allclose(trust[:30], 1.0 - h[:30] / 0.4, atol=1e-5)
+    assert ((trust >= 0) & (trust <= 1 + 1e-6)).all() and trust[30:].any()
 
 
 def test_the_right_hand_side_and_the_matrix_are_those_of_the_energy(held: Held, rng: np.random.Generator) -> None:

@@ -118,9 +118,8 @@ def reconstruct(
                 if sequence.order:  # no film
                     steady = replace(steady, refine=replace(steady.refine, time=0.0))
                 ends = mesh.vertices, mesh.faces, keyframe
-                one_sided = view is not None
                 times = None if sequence.order else sequence.numbers
-                problem = Problem(clouds, normals, *ends, steady, target, given, one_sided, times)
+                problem = Problem(clouds, normals, *ends, steady, target, given, view, times)
                 optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
                 del clouds, normals
                 refinement = (

@@ -12,20 +12,29 @@ Places and normals are matched together: nearest neighbours in the six numbers (
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from warpdef.fit.embedded import DeformationGraph, Pose
+from warpdef.fit.transport import partial_transport, transport_cost
+from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.rotations import nearest_rotation
 from warpdef.geometry.sampling import spread_evenly
 from warpdef.geometry.triangles import is_watertight, vertex_normals
+from warpdef.quality.shape import STRETCHED
 
 NODES = 300
 POINTS = 2000
 """Points of a frame, and vertices, that are matched: spread evenly."""
-SCHEDULE = ((30.0, 30.0, 4), (20.0, 5.0, 3), (12.0, 1.0, 5), (8.0, 0.3, 5), (5.0, 0.1, 5), (3.0, 0.03, 5))
+COARSE = 1000
+"""The same while they are far apart."""
+COARSE_SCHEDULE = ((20.0, 30.0, 4), (14.0, 5.0, 3), (8.0, 1.0, 5), (6.0, 0.3, 5))
 """Reach in point spacings, rigidity, and Gauss-Newton steps with them at most."""
+SCHEDULE = ((5.0, 0.1, 5), (3.0, 0.03, 5))
+"""The same of all points."""
 STILL = 0.3
 """Largest move of a vertex in a step, in point spacings, below which the next reach is taken."""
 FACING = 3.0
@@ -34,25 +43,92 @@ ALONG = 0.1
 WAY_BACK = 3.0
 """Distance, in point spacings, between a vertex and the one that its point asks for, at which it counts by 1/e."""
 _NOTHING = 1e-3
+SHARED = 600
+"""Points of a frame, and vertices, that share each other."""
+SHARES = ((4.0, 8.0, 30.0, 4), (2.5, 8.0, 3.0, 5), (1.5, 6.0, 0.5, 6), (1.0, 4.0, 0.2, 6))
+"""Blur and reach in the spacing of the points that are shared, rigidity, and Gauss-Newton steps at most."""
+TURN = 8.0
+"""What opposite normals cost half of, in the square of that spacing."""
+FAULTLESS = 0.015
+"""Fault up to which no other way is tried."""
+ON = 4.0
+"""Distance in (x, FACING s n), in point spacings, up to which a point and a vertex meet."""
+APART = 1.5
+"""Distance at rest over that in a pose, from which vertices that meet the same points do not belong together."""
+ROOM = 4.0
+"""Distance, in point spacings, from which a vertex stands where the camera would have seen it."""
+PUSH = 0.05
+"""Weight of such a vertex, back to what was seen."""
+_UNMET = 0.1  # weight of a vertex's own match below which it is no match
+_LITTLE = 1e-2
+_LEAST = 1e-30
+
+
+Matched = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Vertices (m,), their goals and the normals there, (m, 3) each, and weights (m,)."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a camera saw, from far away. axes: across its view, (3, 2). view: unit vector towards it (3,).
+    tree: of the points in its picture. depth: along the view (N,)."""
+
+    axes: np.ndarray
+    view: np.ndarray
+    tree: Any
+    depth: np.ndarray
+
+    @classmethod
+    def of(cls, points: np.ndarray, view: np.ndarray) -> Picture:
+        """Of points (N, 3)."""
+        from scipy.spatial import cKDTree
+
+        axes = np.linalg.svd(view[None])[2][1:].T
+        return cls(axes, view, cKDTree(points @ axes), points @ view)
+
+    def contradicts(self, places: np.ndarray, room: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Places (m, 3) that it would have shown and did not: beside all points or before them by more than ``room``.
+
+        Returns:
+            Which they are (c,), the nearest places that it does not contradict, and the directions there, (c, 3) each.
+        """
+        beside, nearest = self.tree.query(places @ self.axes)
+        before = places @ self.view - self.depth[nearest]
+        way = (self.tree.data[nearest] - places @ self.axes) @ self.axes.T
+        back = (beside <= room) & (before > room)
+        way[back] = -before[back, None] * self.view
+        which = np.flatnonzero((beside > room) | back)
+        way = way[which]
+        return which, places[which] + way, way / np.linalg.norm(way, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
 class SeenCloud:
-    """points: (N, 3). normals: (N, 3), unit, on the camera's side. spacing: mean distance to the nearest point."""
+    """points: (N, 3). normals: (N, 3), unit, on the camera's side. spacing: mean distance to the nearest point.
+    view: unit vector towards the camera (3,), None if there is none."""
 
     points: np.ndarray
     normals: np.ndarray
     spacing: float
+    view: np.ndarray | None = None
 
     @classmethod
-    def of(cls, points: np.ndarray, normals: np.ndarray) -> SeenCloud:
+    def of(cls, points: np.ndarray, normals: np.ndarray, view: np.ndarray | None = None) -> SeenCloud:
         """At most ``POINTS`` of points (N, 3) with normals (N, 3)."""
-        from scipy.spatial import cKDTree
+        chosen = _spread(points, POINTS)
+        return cls(points[chosen], normals[chosen], mean_spacing(points[chosen]), view)
 
-        if len(points) > POINTS:
-            chosen = spread_evenly(points, POINTS)
-            points, normals = points[chosen], normals[chosen]
-        return cls(points, normals, float(cKDTree(points).query(points, k=2)[0][:, 1].mean()))
+    @cached_property
+    def picture(self) -> Picture | None:
+        """Its points as the camera saw them."""
+        return None if self.view is None else Picture.of(self.points, self.view)
+
+    def thinned(self, count: int) -> SeenCloud:
+        """At most ``count`` of its points."""
+        chosen = _spread(self.points, count)
+        return replace(
+            self, points=self.points[chosen], normals=self.normals[chosen], spacing=mean_spacing(self.points[chosen])
+        )
 
 
 class Bending:
@@ -63,7 +139,8 @@ class Bending:
         self.graph = DeformationGraph.build(rest, edges, NODES)
         if is_watertight(faces):
             self.graph = self.graph.braced(rest, vertex_normals(rest, faces))
-        self._chosen = spread_evenly(rest, POINTS) if len(rest) > POINTS else np.arange(len(rest))
+        self._chosen, self._coarse, self._sharing = (_spread(rest, count) for count in (POINTS, COARSE, SHARED))
+        self._edges, self._lengths = edges, np.maximum(edge_lengths(rest, edges), _LEAST)
 
     def still(self) -> Pose:
         """The pose of the mesh at rest."""
@@ -81,33 +158,122 @@ class Bending:
         return self.graph.place(self.rest, pose)
 
     def onto(self, cloud: SeenCloud, start: Pose) -> Pose:
-        """The pose that brings the mesh onto a cloud, looked for from another."""
+        """The pose that brings the mesh onto a cloud, looked for from another on two ways; that of the lesser fault."""
+        near = self._by_nearest(cloud.thinned(COARSE), start, COARSE_SCHEDULE, self._coarse)
+        found = [self._by_nearest(cloud, near, SCHEDULE, self._chosen)]
+        if self.fault(cloud, found[0]) > FAULTLESS:
+            found.append(self._by_nearest(cloud, self._by_shares(cloud.thinned(SHARED), start), SCHEDULE, self._chosen))
+        return min(found, key=lambda pose: self.fault(cloud, pose))
+
+    def fault(self, cloud: SeenCloud, pose: Pose) -> float:
+        """Shares of points uncovered, of vertices on the place of others, and of edges stretched.
+
+        A vertex is on the place of another where the vertex that suits its point best is near, but far from it in
+        the mesh at rest.
+        """
+        from scipy.spatial import cKDTree
+
+        placed, s = self.place(pose), cloud.spacing
+        facing = vertex_normals(placed, self.faces)
+        seen = np.column_stack([cloud.points, FACING * s * cloud.normals])
+        mesh = np.column_stack([placed, FACING * s * facing])[self._chosen]
+        away, asked = cKDTree(mesh).query(seen)
+        met, asking = cKDTree(seen).query(mesh)
+        best = self._chosen[asked[asking]]
+        apart = np.linalg.norm(self.rest[best] - self.rest[self._chosen], axis=1)
+        beside = np.linalg.norm(placed[best] - placed[self._chosen], axis=1)
+        double = (met < ON * s) & (apart > APART * beside + ON * s)
+        ratio = np.log(np.maximum(edge_lengths(placed, self._edges), _LEAST) / self._lengths)
+        return float(np.mean(away > ON * s) + np.mean(double) + np.mean(np.abs(ratio) > np.log(STRETCHED)))
+
+    def _by_shares(self, cloud: SeenCloud, start: Pose) -> Pose:
+        """From a pose towards where vertices have their share of the points (``transport``), ever closer."""
+        points, normals, s = cloud.points, cloud.normals, cloud.spacing
+        vertex = self._sharing
+        own = mean_spacing(self.rest[vertex])
+        pose, placed = start, self.place(start)
+        for blur, reach, rigidity, steps in SHARES:
+            for _ in range(steps):
+                facing = vertex_normals(placed, self.faces)
+                cost = transport_cost(placed[vertex] / s, facing[vertex], points / s, normals, TURN)
+                plan = partial_transport(cost, (own / s) ** 2, 1.0, blur**2, reach**2)
+                weight = plan.sum(axis=1)
+                goal = plan @ points / np.maximum(weight, _LEAST)[:, None]
+                normal = plan @ normals
+                normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), _LEAST)
+                weight = np.minimum(weight * (s / own) ** 2, 1.0)
+                kept = weight > _LITTLE
+                if not kept.any():
+                    return pose
+                matched = (vertex[kept], goal[kept], normal[kept], weight[kept])
+                matched = self._with_pushed(matched, cloud, placed, facing, vertex[weight < _UNMET])
+                pose = self.graph.step(self.rest, pose, *matched[:3], rigidity, 1.0, matched[3])
+                before, placed = placed, self.place(pose)
+                if np.abs(placed - before).max() < STILL * s:
+                    break
+        return pose
+
+    def _by_nearest(
+        self, cloud: SeenCloud, start: Pose, schedule: tuple[tuple[float, float, int], ...], chosen: np.ndarray
+    ) -> Pose:
+        """From a pose by nearest neighbours."""
         from scipy.spatial import cKDTree
 
         pose, turned = start, FACING * cloud.spacing
         placed = self.place(pose)
         seen = np.column_stack([cloud.points, turned * cloud.normals])
         tree = cKDTree(seen)
-        for reach, rigidity, steps in SCHEDULE:
+        for reach, rigidity, steps in schedule:
             for _ in range(steps):
                 facing = vertex_normals(placed, self.faces)
-                mesh = np.column_stack([placed, turned * facing])[self._chosen]
-                asked = self._chosen[cKDTree(mesh).query(seen)[1]]
+                mesh = np.column_stack([placed, turned * facing])[chosen]
+                asked = chosen[cKDTree(mesh).query(seen)[1]]
                 asking = tree.query(mesh)[1]
-                vertex = np.concatenate([asked, self._chosen])
+                vertex = np.concatenate([asked, chosen])
                 point = np.concatenate([np.arange(len(cloud.points)), asking])
                 away = np.linalg.norm(placed[vertex] - cloud.points[point], axis=1)
                 agree = (facing[vertex] * cloud.normals[point]).sum(axis=1) > AGREEMENT
                 weight = np.exp(-((away / (reach * cloud.spacing)) ** 2)) * agree
-                back = np.linalg.norm(placed[asked[asking]] - placed[self._chosen], axis=1)
+                back = np.linalg.norm(placed[asked[asking]] - placed[chosen], axis=1)
                 weight[len(asked) :] *= np.exp(-((back / (WAY_BACK * cloud.spacing)) ** 4))
                 kept = weight > _NOTHING
                 if not kept.any():
                     return pose
-                vertex, point, weight = vertex[kept], point[kept], weight[kept]
-                goal = cloud.points[point], cloud.normals[point]
-                pose = self.graph.step(self.rest, pose, vertex, *goal, rigidity, ALONG, weight)
+                unmet = chosen[weight[len(asked) :] < _UNMET]
+                vertex, point = vertex[kept], point[kept]
+                matched = (vertex, cloud.points[point], cloud.normals[point], weight[kept])
+                matched = self._with_pushed(matched, cloud, placed, facing, unmet)
+                pose = self.graph.step(self.rest, pose, *matched[:3], rigidity, ALONG, matched[3])
                 before, placed = placed, self.place(pose)
                 if np.abs(placed - before).max() < STILL * cloud.spacing:
                     break
         return pose
+
+    def _contradicted(
+        self, cloud: SeenCloud, placed: np.ndarray, facing: np.ndarray, vertex: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which of some vertices (m,) the camera would have seen and did not, where they may be, and the way there."""
+        if cloud.picture is None:
+            return vertex[:0], placed[:0], placed[:0]
+        towards = vertex[facing[vertex] @ cloud.picture.view > 0.0]
+        which, goal, way = cloud.picture.contradicts(placed[towards], ROOM * cloud.spacing)
+        return towards[which], goal, way
+
+    def _with_pushed(self, matched: Matched, *asked: Any) -> Matched:
+        """Matches, and what is pushed to where the camera may not have seen it."""
+        vertex, goal, way = self._contradicted(*asked)
+        more = vertex, goal, way, np.full(len(vertex), PUSH)
+        first, second, third, fourth = (np.concatenate(pair) for pair in zip(matched, more, strict=True))
+        return first, second, third, fourth
+
+
+def _spread(places: np.ndarray, count: int) -> np.ndarray:
+    """At most ``count`` of places (N, 3), evenly."""
+    return spread_evenly(places, count) if len(places) > count else np.arange(len(places))
+
+
+def mean_spacing(points: np.ndarray) -> float:
+    """Mean distance of points (N, 3) to their nearest fellow."""
+    from scipy.spatial import cKDTree
+
+    return float(cKDTree(points).query(points, k=2)[0][:, 1].mean())

@@ -7,10 +7,15 @@ a handful of Gauss-Newton steps, where moving every vertex by itself would need 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpdef.geometry.edges import edge_graph
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_matrix
 
 _NEAREST = 4  # nodes a vertex
 _STRAIGHT = 0.8  # least cosine of a chord with the normals at its ends
@@ -140,61 +145,86 @@ class DeformationGraph:
         with r_i the vertex ``chosen[i]`` minus its ``goal`` (m, 3), n its unit ``normal`` (m, 3), and w its
         ``weight`` (m,), all 1 if not given.
         """
-        from scipy.sparse import csc_matrix, csr_matrix, identity, vstack
         from scipy.sparse.linalg import splu
 
         count, anchor = len(self.node), rest[self.node]
-        fit, fit_at, misfit = self._residuals(rest, pose, chosen, goal, normal, tangential)
+        if weight is None:
+            weight = np.ones(len(chosen))
+        weight = weight / max(float(weight.sum()), 1e-300)
+        # Of a vertex all matches at once: A the sum of w (n n^T + tangential I), b that of w (n n^T + tangential I) r.
+        vertex, match = np.unique(chosen, return_inverse=True)
+        index, share = self.index[vertex], self.weight[vertex]
+        arm = np.einsum("vjab,vjb->vja", pose.rotation[index], rest[vertex, None] - anchor[index])
+        placed = np.einsum("vj,vja->va", share, arm + anchor[index] + pose.shift[index])
+        asked = weight[:, None, None] * (normal[:, :, None] * normal[:, None, :] + tangential * np.eye(3))
+        pull = np.einsum("iab,ib->ia", asked, placed[match] - goal)
+        asked, pull = _sums(asked, match, len(vertex)), _sums(pull, match, len(vertex))
+        derivative = np.concatenate([-_cross_matrix(arm), np.broadcast_to(np.eye(3), (*arm.shape, 3))], axis=3)
+        derivative = (derivative * share[:, :, None, None]).transpose(0, 2, 1, 3)
+        derivative = derivative.reshape(len(vertex), 3, 6 * index.shape[1])
+        fit = derivative.transpose(0, 2, 1) @ asked @ derivative
+        right = self._scattered(index, np.einsum("vac,va->vc", derivative, pull))
+
         j, k = self.link.T
+        scale = rigidity / max(len(j), 1)
         arm = np.einsum("eab,eb->ea", pose.rotation[j], anchor[k] - anchor[j])
-        bend = np.zeros((len(j), 3, 12))
-        bend[:, :, :3] = -_cross_matrix(arm)
-        bend[:, :, 3:6] = np.eye(3)
-        bend[:, :, 9:] = -np.eye(3)
-        bend_at = np.concatenate([j[:, None] * 6 + np.arange(6), k[:, None] * 6 + np.arange(6)], axis=1)
+        derivative = np.zeros((len(j), 3, 12))
+        derivative[:, :, :3] = -_cross_matrix(arm)
+        derivative[:, :, 3:6] = np.eye(3)
+        derivative[:, :, 9:] = -np.eye(3)
         bent = arm + anchor[j] + pose.shift[j] - anchor[k] - pose.shift[k]
-        bend_scale = np.sqrt(rigidity / max(len(j), 1))
-        fit_scale = np.full(len(chosen), 1.0 / np.sqrt(max(len(chosen), 1)))
-        if weight is not None:
-            fit_scale = np.sqrt(weight / max(float(weight.sum()), 1e-300))
+        right += scale * self._scattered(self.link, np.einsum("eac,ea->ec", derivative, bent))
+        stiff = scale * (derivative.transpose(0, 2, 1) @ derivative)
 
-        def rows(blocks: np.ndarray, at: np.ndarray) -> csr_matrix:
-            height, width = blocks.shape[0] * 3, blocks.shape[2]
-            flat = blocks.reshape(height, width)
-            first = np.arange(0, height * width + 1, width)
-            return csr_matrix((flat.ravel(), np.repeat(at, 3, axis=0).ravel(), first), shape=(height, 6 * count))
-
-        fit, misfit = fit * fit_scale[:, None, None], misfit * fit_scale[:, None]
-        jacobian = vstack([rows(fit, fit_at), rows(bend * bend_scale, bend_at)]).tocsr()
-        residual = np.concatenate([misfit.ravel(), bent.ravel() * bend_scale])
-        # Nodes that nothing holds, on their own in a component, stay.
-        system = csc_matrix(jacobian.T @ jacobian + 1e-12 * identity(6 * count))
+        system = self._assembled((index, fit), (self.link, stiff))
         options = {"SymmetricMode": True}
         solve = splu(system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-        move = solve.solve(-(jacobian.T @ residual)).reshape(count, 6)
+        move = solve.solve(-right).reshape(count, 6)
         return Pose(_rotations(move[:, :3]) @ pose.rotation, pose.shift + move[:, 3:])
 
-    def _residuals(self, rest, pose, chosen, goal, normal, tangential):
-        """Weighted residuals (m, 3), their derivatives (m, 3, 24) and the unknowns these belong to (m, 24)."""
-        anchor, root = rest[self.node], np.sqrt(tangential)
-        # The square root of n n^T + tangential I.
-        weigh = root * np.eye(3) + (np.sqrt(1.0 + tangential) - root) * normal[:, :, None] * normal[:, None, :]
-        blocks, at = [], []
-        placed = np.zeros((len(chosen), 3))
-        for j, w in zip(self.index[chosen].T, self.weight[chosen].T, strict=True):
-            arm = np.einsum("vab,vb->va", pose.rotation[j], rest[chosen] - anchor[j])
-            placed += w[:, None] * (arm + anchor[j] + pose.shift[j])
-            blocks += [-_cross_matrix(arm) * w[:, None, None], np.eye(3) * w[:, None, None]]
-            at.append(j[:, None] * 6 + np.arange(6))
-        derivative = weigh @ np.concatenate(blocks, axis=2)
-        return derivative, np.concatenate(at, axis=1), np.einsum("vab,vb->va", weigh, placed - goal)
+    @cached_property
+    def _pattern(self) -> np.ndarray:
+        """Row times the number of nodes plus column of all blocks of a step's matrix, ascending."""
+        own, (j, k) = np.arange(len(self.node)), self.link.T
+        return np.unique(np.concatenate([own, j, k]) * len(own) + np.concatenate([own, k, j]))
+
+    def _assembled(self, *parts: tuple[np.ndarray, np.ndarray]) -> csc_matrix:
+        """The sum of symmetric matrices (m, 6 p, 6 p) at nodes (m, p); those of nodes without a link are zero."""
+        from scipy.sparse import bsr_matrix, csc_matrix, csr_matrix
+
+        count, pattern = len(self.node), self._pattern
+        blocks = np.zeros((len(pattern), 36))
+        for node, matrices in parts:
+            m, p = node.shape
+            each = matrices.reshape(m, p, 6, p, 6).transpose(0, 1, 3, 2, 4).reshape(-1, 36)
+            at = np.searchsorted(pattern, (node[:, :, None] * count + node[:, None, :]).ravel())
+            at = np.minimum(at, len(pattern) - 1)
+            gather = csr_matrix((np.ones(len(at)), (at, np.arange(len(at)))), shape=(len(pattern), len(at)))
+            blocks += gather @ each
+        # Nodes that nothing holds, on their own in a component, stay.
+        row, column = np.divmod(pattern, count)
+        blocks[row == column] += 1e-12 * np.eye(6).ravel()
+        begin = np.searchsorted(row, np.arange(count + 1))
+        rows = bsr_matrix((blocks.reshape(-1, 6, 6), column, begin), shape=(6 * count, 6 * count)).tocsr()
+        return csc_matrix((rows.data, rows.indices, rows.indptr), shape=rows.shape)  # symmetric: rows are columns
+
+    def _scattered(self, node: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """The sum of vectors (m, 6 p) at nodes (m, p): shape (6 n,)."""
+        return _sums(vectors.reshape(-1, 6), node.ravel(), len(self.node)).ravel()
+
+
+def _sums(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """Values (m, ...) summed by group (m,): shape (count, ...)."""
+    flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
+    sums = [np.bincount(group, weights=column, minlength=count) for column in flat.T]
+    return np.column_stack(sums).astype(np.float64).reshape(count, *values.shape[1:])  # of nothing: integers
 
 
 def _cross_matrix(v: np.ndarray) -> np.ndarray:
-    """[v]_x for vectors (n, 3): (n, 3, 3)."""
-    z = np.zeros(len(v))
-    x, y, w = v.T
-    return np.stack([z, -w, y, w, z, -x, -y, x, z], axis=1).reshape(-1, 3, 3)
+    """[v]_x for vectors (..., 3): (..., 3, 3)."""
+    x, y, w = np.moveaxis(v, -1, 0)
+    z = np.zeros_like(x)
+    return np.stack([z, -w, y, w, z, -x, -y, x, z], axis=-1).reshape(*v.shape, 3)
 
 
 def _rotations(v: np.ndarray) -> np.ndarray:

@@ -103,7 +103,7 @@ class _Walk:
             source, target = int(ends.source[s]), int(ends.target[s])
             if self.stopped():
                 break
-            cloud = SeenCloud.of(*self._points(target))
+            cloud = SeenCloud.of(*self._points(target), self.problem.view)
             poses[target] = bending.onto(cloud, poses[source])
             self.objective.vertices[target].assign(bending.place(poses[target]).astype(np.float32))
             self._lead(target)

@@ -70,7 +70,7 @@ class Refinement:
         self.pairing = Pairing(objective, self.noise)
         self.unseen = Unseen(p, objective.vertices, self.rotation)
         self.landmarks = None if landmarks is None else LandmarkTerm(landmarks, p, objective.vertices)
-        self.shape = RestShape(p, objective.vertices, self.rotation, self.noise)
+        self.shape = RestShape(p, objective.vertices, self.rotation, self.noise, self.unseen.trust)
         self.smoothness = Smoothness(
             p, (self.shape.places, objective.vertices, self.rotation), self.noise, tuple(scratch)
         )
@@ -192,6 +192,8 @@ class Refinement:
         o = self.objective
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
         self.pairing.find(first, last)
+        if self.unseen.trust is not None:
+            self.unseen.look(first, last, self.pairing)
         sums = (self._matrix.flatten(), self._rhs.flatten())
         self.pairing.equations(first, last, *sums)
         if self.unseen:

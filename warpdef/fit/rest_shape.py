@@ -12,11 +12,13 @@ from warpdef.fit.problem import Problem
 from warpdef.fit.sobolev import SolveReport, note_solve
 from warpdef.kernels.cg import ConjugateGradients
 from warpdef.kernels.fairing import towards_mean
-from warpdef.kernels.rigidity import rest_rhs
+from warpdef.kernels.rigidity import rest_rhs, trusted_rest_rhs
 from warpdef.kernels.vectors import add_scaled, blend, copy_vectors
 
 _TOLERANCE = 1e-4
 _ITERATIONS = 200
+_STAYING = 0.05  # weight of the shape as it is against a frame, where parts are seen
+_BORDER_FAIRINGS = 2  # of what one camera saw, a round: its border is where seeing ended, not a shape of its own
 _FAIRINGS = 4  # double steps of fairing a round at noise 1: what is as fine as the edges is noise
 
 
@@ -26,11 +28,14 @@ class RestShape:
     Args:
         vertices: of all frames, shape (T, V) vec3. rotation: theirs, from the shape, (T, V) mat33.
         noise: see ``pairing.noise_of``.
+        trust: how well a frame shows a vertex, shape (T, V) float32; None where complete frames are asked alone.
 
     places: y, shape (V,) vec3. start: of its next solve, the last solution.
     """
 
-    def __init__(self, problem: Problem, vertices: wp.array, rotation: wp.array, noise: float) -> None:
+    def __init__(
+        self, problem: Problem, vertices: wp.array, rotation: wp.array, noise: float, trust: wp.array | None = None
+    ) -> None:
         p, self._config = problem, problem.config.refine
         self._vertices, self._rotation = vertices, rotation
         self._keyframe = frame_of(vertices, p.transitions.keyframe)
@@ -43,6 +48,9 @@ class RestShape:
         self._solver = ConjugateGradients(stiff, wp.vec3, _TOLERANCE, _ITERATIONS, p.device)
         self.start = self._solver.start
         border = np.full((p.vertex_count, 1), -1) if p.border is None else p.border
+        self._trust, self._border = trust, None
+        if p.seen and p.border is not None:
+            self._border = _along(p, border), p.integers(np.all(border < 0, axis=1))
         self._still, self._fairings = p.integers(np.any(border >= 0, axis=1)), round(_FAIRINGS * noise)
 
     def take(self) -> None:
@@ -58,7 +66,11 @@ class RestShape:
 
     def ask(self, first: int, last: int) -> None:
         """What the frames say of the edges of vertices ``first .. last``."""
-        rest_rhs(first, last - first, self._telling, *self._edges, self._rotation, self._vertices, self._rhs)
+        count, moved = last - first, (self._rotation, self._vertices, self._rhs)
+        if self._trust is None:
+            rest_rhs(first, count, self._telling, *self._edges, *moved)
+        else:
+            trusted_rest_rhs(first, count, _STAYING, *self._edges, self.places, self._trust, *moved)
 
     def solve(self) -> None:
         """(I + s L) y = y_old + s b: the optimum L y = b of the right-hand side b, at the cost of s^-1 of staying."""
@@ -67,6 +79,18 @@ class RestShape:
         add_scaled(0, count, c.shape_smoothness, self._rhs, self._right_side)
         self._solver.solve(self._right_side, self._rhs, 0, 1)
         blend(c.shape_step, self._rhs, self.places)
-        for _ in range(self._fairings):
-            towards_mean(0, count, 0.5, *self._edges, self._still, self.places, self._rhs)
-            towards_mean(0, count, -0.53, *self._edges, self._still, self._rhs, self.places)
+        self._fair(self._fairings, self._edges, self._still)
+        if self._border is not None:
+            self._fair(_BORDER_FAIRINGS, *self._border)
+
+    def _fair(self, steps: int, edges: tuple[wp.array, wp.array], still: wp.array) -> None:
+        count = len(self.places)
+        for _ in range(steps):
+            towards_mean(0, count, 0.5, *edges, still, self.places, self._rhs)
+            towards_mean(0, count, -0.53, *edges, still, self._rhs, self.places)
+
+
+def _along(problem: Problem, border: np.ndarray) -> tuple[wp.array, wp.array]:
+    """Border vertices' neighbours on the border, from ``measures.border_of`` (V, 3): rows and columns as of a graph."""
+    on = border[:, 0] >= 0
+    return problem.integers(np.concatenate([[0], np.cumsum(2 * on)])), problem.integers(border[on, :2].ravel())

@@ -13,7 +13,7 @@ import warp as wp
 from warpdef.device import frame_of
 from warpdef.fit.pairing import Pairing
 from warpdef.fit.problem import Problem
-from warpdef.kernels.unseen import expected_places, hold_unseen
+from warpdef.kernels.unseen import expected_places, hold_unseen, seen_weights
 from warpdef.kernels.vectors import copy_vectors
 
 _HOLD = 0.05  # weight of the place expected of an unseen vertex against one plane
@@ -26,6 +26,7 @@ class Unseen:
         vertices: of all frames, shape (T, V) vec3. rotation: theirs, from the rest shape, (T, V) mat33.
 
     frames: those held, ascending; none with fewer than three frames, all of a closed mesh that one camera saw.
+    trust: how well a frame shows a vertex, shape (T, V) float32; None where some frame shows all of the surface.
     by_time: whether places are expected by the frames around; else they are those that ``stay`` was told.
     """
 
@@ -40,6 +41,7 @@ class Unseen:
         if not self.by_time:
             held[:] = True
         self.frames = np.flatnonzero(held)
+        self.trust = None if complete.any() else wp.zeros(vertices.shape, dtype=wp.float32, device=p.device)
         self._around = p.integers(near), p.integers(far), p.numbers(share)
         self._hold = p.numbers(np.where(held, _HOLD, 0.0))
         self._expected = wp.clone(vertices) if len(self.frames) else None
@@ -62,6 +64,12 @@ class Unseen:
         """Add what holds vertices that have no pairs to the normal equations; shapes (T V,)."""
         begin, count = first * self._count, (last - first) * self._count
         hold_unseen(begin, count, pairing.met, self._places().flatten(), self._hold, matrix_out, rhs_out)
+
+    def look(self, first: int, last: int, pairing: Pairing) -> None:
+        """How well frames ``first .. last`` show the vertices, by their pairs, in ``trust``."""
+        assert self.trust is not None
+        begin, count = first * self._count, (last - first) * self._count
+        seen_weights(begin, count, pairing.met, self.trust.flatten())
 
     def state(self) -> dict[str, wp.array]:
         """What is expected and does not follow from the vertices, by name."""
