@@ -12,7 +12,7 @@ A room a file, in the order in which a run goes through them:
 Without the paper's chain the mesh then follows the grids, frame by frame:
 
     follow                      outwards from the keyframe, by ``refine`` and, what is lost, by ``recover``
-    bending                     the same where one camera saw a part of the surface
+    bending, transport          the same where one camera saw a part of the surface; matches that give each its share
     recover, embedded           lost limbs found again by matches; a mesh bent by a few hundred rigid pieces
 
 The vertex stage, which ends the fit:

@@ -5,7 +5,12 @@ shrink onto what is left. So the whole mesh is bent by a few hundred rigid piece
 reach first, softer and nearer after that, and by matches of three kinds of honesty: the normals of a match agree (a
 point that faces the camera is not on the far side), every point asks for the vertex that suits it best, and a vertex
 asks back only if its point asks for it or for a vertex close by. What no point asks for goes along, as rigid as the
-pieces are; bent from its own shape each time, it neither shrinks nor drifts.
+pieces are; bent from its own shape each time, it neither shrinks nor drifts. Where the camera would have seen it and
+did not, it is pushed out of sight, gently.
+
+Where a finger moves by more than the gap to the next, nearest points lead it to the place of another. Then points are
+shared out first (``transport``), which no finger can have twice; but where fingers are hidden that leads others astray.
+So both ways are gone, and what leaves less uncovered, doubled and stretched is taken.
 
 Places and normals are matched together: nearest neighbours in the six numbers (x, FACING s n), s the point spacing.
 """
@@ -19,12 +24,12 @@ from typing import Any
 import numpy as np
 
 from warpdef.fit.embedded import DeformationGraph, Pose
+from warpdef.fit.measures import stretched_share
 from warpdef.fit.transport import partial_transport, transport_cost
 from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.rotations import nearest_rotation
 from warpdef.geometry.sampling import spread_evenly
 from warpdef.geometry.triangles import is_watertight, vertex_normals
-from warpdef.quality.shape import STRETCHED
 
 NODES = 300
 POINTS = 2000
@@ -53,7 +58,7 @@ FAULTLESS = 0.015
 """Fault up to which no other way is tried."""
 ON = 4.0
 """Distance in (x, FACING s n), in point spacings, up to which a point and a vertex meet."""
-APART = 1.5
+ELSEWHERE = 1.5
 """Distance at rest over that in a pose, from which vertices that meet the same points do not belong together."""
 ROOM = 4.0
 """Distance, in point spacings, from which a vertex stands where the camera would have seen it."""
@@ -61,7 +66,7 @@ PUSH = 0.05
 """Weight of such a vertex, back to what was seen."""
 _UNMET = 0.1  # weight of a vertex's own match below which it is no match
 _LITTLE = 1e-2
-_LEAST = 1e-30
+_TINY = 1e-30
 
 
 Matched = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -140,7 +145,7 @@ class Bending:
         if is_watertight(faces):
             self.graph = self.graph.braced(rest, vertex_normals(rest, faces))
         self._chosen, self._coarse, self._sharing = (_spread(rest, count) for count in (POINTS, COARSE, SHARED))
-        self._edges, self._lengths = edges, np.maximum(edge_lengths(rest, edges), _LEAST)
+        self._edges, self._lengths = edges, edge_lengths(rest, edges)
 
     def still(self) -> Pose:
         """The pose of the mesh at rest."""
@@ -157,11 +162,15 @@ class Bending:
         """All vertices in a pose, (V, 3)."""
         return self.graph.place(self.rest, pose)
 
-    def onto(self, cloud: SeenCloud, start: Pose) -> Pose:
-        """The pose that brings the mesh onto a cloud, looked for from another on two ways; that of the lesser fault."""
+    def onto(self, cloud: SeenCloud, start: Pose, usual: float = 0.0) -> Pose:
+        """The pose that brings the mesh onto a cloud, looked for from another on two ways; that of the lesser fault.
+
+        One way is enough where it leaves no more than the ``usual`` fault, that of the frame before: what no way could
+        mend there is the shape's.
+        """
         near = self._by_nearest(cloud.thinned(COARSE), start, COARSE_SCHEDULE, self._coarse)
         found = [self._by_nearest(cloud, near, SCHEDULE, self._chosen)]
-        if self.fault(cloud, found[0]) > FAULTLESS:
+        if self.fault(cloud, found[0]) > max(FAULTLESS, usual):
             found.append(self._by_nearest(cloud, self._by_shares(cloud.thinned(SHARED), start), SCHEDULE, self._chosen))
         return min(found, key=lambda pose: self.fault(cloud, pose))
 
@@ -182,9 +191,8 @@ class Bending:
         best = self._chosen[asked[asking]]
         apart = np.linalg.norm(self.rest[best] - self.rest[self._chosen], axis=1)
         beside = np.linalg.norm(placed[best] - placed[self._chosen], axis=1)
-        double = (met < ON * s) & (apart > APART * beside + ON * s)
-        ratio = np.log(np.maximum(edge_lengths(placed, self._edges), _LEAST) / self._lengths)
-        return float(np.mean(away > ON * s) + np.mean(double) + np.mean(np.abs(ratio) > np.log(STRETCHED)))
+        double = (met < ON * s) & (apart > ELSEWHERE * beside + ON * s)
+        return float(np.mean(away > ON * s) + np.mean(double) + stretched_share(placed, self._edges, self._lengths))
 
     def _by_shares(self, cloud: SeenCloud, start: Pose) -> Pose:
         """From a pose towards where vertices have their share of the points (``transport``), ever closer."""
@@ -198,9 +206,9 @@ class Bending:
                 cost = transport_cost(placed[vertex] / s, facing[vertex], points / s, normals, TURN)
                 plan = partial_transport(cost, (own / s) ** 2, 1.0, blur**2, reach**2)
                 weight = plan.sum(axis=1)
-                goal = plan @ points / np.maximum(weight, _LEAST)[:, None]
+                goal = plan @ points / np.maximum(weight, _TINY)[:, None]
                 normal = plan @ normals
-                normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), _LEAST)
+                normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), _TINY)
                 weight = np.minimum(weight * (s / own) ** 2, 1.0)
                 kept = weight > _LITTLE
                 if not kept.any():

@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from warpdef.fit.bending import Bending, SeenCloud
+from warpdef.fit.measures import stretched_share
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import span
 from warpdef.fit.recover import Cloud, ConnectedSurface, Search
@@ -30,12 +31,10 @@ from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.sampling import spread_evenly
 from warpdef.geometry.triangles import vertex_normals
 from warpdef.kernels.ways import Way
-from warpdef.quality.shape import STRETCHED
 
 STRETCHED_MAX = 0.02
 """Share of such edges from which a frame went wrong, even if all points are covered."""
 _ASKED = 20_000  # points of a frame, evenly spread, that tell what is not covered: enough for any limb
-_LEAST = 1e-30  # of an edge's length: its logarithm is asked for
 
 
 def follow(
@@ -75,7 +74,7 @@ class _Walk:
         self.search = Search(objective.vertices.numpy().astype(np.float64), clouds, surface, p.transitions.keyframe)
         self.bent: set[int] = set()
         self._clouds, self._edges = clouds, surface.edges
-        self._lengths = np.maximum(edge_lengths(p.template, self._edges), _LEAST)
+        self._lengths = edge_lengths(p.template, self._edges)
 
     def _points(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Points of a frame and their normals as given, (N_t, 3) float64 each."""
@@ -97,14 +96,15 @@ class _Walk:
     def bent_outwards(self, transitions: range) -> list[int]:
         """Frames of one side, of what one camera saw, in order."""
         bending, ends = self.bending, self.problem.transitions
-        poses = {ends.keyframe: bending.still()}
+        poses, usual = {ends.keyframe: bending.still()}, 0.0
         fitted: list[int] = []
         for s in transitions:
             source, target = int(ends.source[s]), int(ends.target[s])
             if self.stopped():
                 break
             cloud = SeenCloud.of(*self._points(target), self.problem.view)
-            poses[target] = bending.onto(cloud, poses[source])
+            poses[target] = bending.onto(cloud, poses[source], usual)
+            usual = bending.fault(cloud, poses[target])
             self.objective.vertices[target].assign(bending.place(poses[target]).astype(np.float32))
             self._lead(target)
             self._settle(target, source)
@@ -149,9 +149,7 @@ class _Walk:
 
     def _stretched(self, frame: int) -> float:
         """Share of edges that are half as long again as the template's, or shorter by as much."""
-        lengths = np.maximum(edge_lengths(self.search.vertices[frame], self._edges), _LEAST)
-        ratio = np.log(lengths / self._lengths)
-        return float(np.mean(np.abs(ratio) > np.log(STRETCHED)))
+        return stretched_share(self.search.vertices[frame], self._edges, self._lengths)
 
     def _misfit(self, frame: int) -> float:
         """Share of points uncovered, and of edges stretched."""

@@ -7,6 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from warpdef.geometry.coverage import AREA_NEIGHBOURS, area_of_discs, complete_frames
+from warpdef.geometry.edges import edge_lengths
+from warpdef.quality.shape import STRETCHED
+
+_LEAST = 1e-30  # of an edge's length: its logarithm is asked for
 
 _ASKED = 10_000  # points of a cloud that speak for all: every n-th on the way through space
 
@@ -77,3 +81,10 @@ def mean_edge_length(vertices: np.ndarray, edges: np.ndarray) -> float:
     """Of vertices (V, 3) and edges (E, 2), in the vertices' unit."""
     ends = vertices[edges]
     return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
+
+
+def stretched_share(vertices: np.ndarray, edges: np.ndarray, lengths: np.ndarray) -> float:
+    """Share of the edges (E, 2) of vertices (V, 3) that are half as long again as their lengths (E,), or shorter by as
+    much."""
+    ratio = np.log(np.maximum(edge_lengths(vertices, edges), _LEAST) / np.maximum(lengths, _LEAST))
+    return float(np.mean(np.abs(ratio) > np.log(STRETCHED)))
