@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from warpdef.config import Config
 from warpdef.device import find_device
-from warpdef.fit.bending import FAULTLESS, NODES, Bending, Picture, SeenCloud
+from warpdef.fit.bending import FAULTLESS, NODES, Bending, SeenCloud
 from warpdef.fit.embedded import DeformationGraph, Pose
 from warpdef.fit.follow import follow
 from warpdef.fit.optimise import Optimiser
@@ -117,16 +117,6 @@ def test_what_the_camera_would_have_seen_is_pushed_out_of_sight():
         beside.append(cKDTree(rest[shown][:, :2]).query(placed[~shown][:, :2])[0].mean())
         assert np.quantile(closest_on_surface(cloud.points, placed, faces)[0], 0.95) < 0.03
     assert beside[1] < 0.5 * beside[0]
-
-
-def test_a_picture_is_contradicted_beside_its_points_and_before_them():
-    x, y = np.meshgrid(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 21))
-    picture = Picture.of(np.column_stack([x.ravel(), y.ravel(), np.zeros(441)]), EYE)
-    places = np.array([[0.5, 0.5, 0.0], [0.5, 0.5, -0.7], [0.5, 0.5, 0.6], [1.4, 0.5, -0.3]])
-    which, allowed, way = picture.contradicts(places, 0.1)
-    np.testing.assert_array_equal(which, [2, 3])
-    np.testing.assert_allclose(allowed, [[0.5, 0.5, 0.0], [1.0, 0.5, -0.3]], atol=1e-12)
-    np.testing.assert_allclose(way, [[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]], atol=1e-12)
 
 
 def test_points_are_not_met_by_the_far_side():

@@ -42,10 +42,10 @@ def tube(rings: int = 40, around: int = 32) -> tuple[np.ndarray, np.ndarray]:
 VERTICES, FACES = tube()
 
 
-def moved(frame: int) -> np.ndarray:
+def moved(frame: int, vertices: np.ndarray = VERTICES) -> np.ndarray:
     """The tube turned by 5 degrees a frame, and carried along."""
     c, s = np.cos(np.radians(5.0 * frame)), np.sin(np.radians(5.0 * frame))
-    return VERTICES @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + [0.1 * frame, 0.0, 0.0]
+    return vertices @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + [0.1 * frame, 0.0, 0.0]
 
 
 @pytest.fixture
@@ -146,6 +146,23 @@ def test_a_sheet_larger_than_all_that_its_cloud_shows_is_told() -> None:
     found = assess(clouds, sheets, faces, KEYFRAME)
     assert names(found) == ["good", "good", "good", "doubtful", "good"]
     assert 0.03 < frames(found)[3].surplus < 0.12 and frames(found)[1].far > 0.05 and frames(found)[1].surplus < 0.02
+
+
+def test_what_the_camera_should_have_seen_is_told(meshes, clouds) -> None:
+    """From above, half of the tube is out of sight in two frames: under the other half in one, in full view in one."""
+    up = np.array([0.0, 0.0, 1.0])
+    above = [cloud[cloud[:, 2] > 0.0] for cloud in clouds]
+    middle = [moved(t)[-2:].mean(axis=0) for t in range(FRAMES)]
+    for t in (3, 4):
+        above[t] = above[t][(above[t] - middle[t]) @ (moved(t)[-1] - moved(t)[-2]) > 0.0]
+    folded = VERTICES * [-1.0, 1.0, 1.0] - [0.0, 0.0, 1.5]
+    meshes[3] = moved(3, np.where(VERTICES[:, :1] < 0.0, folded, VERTICES))
+    found = assess(above, meshes, FACES, KEYFRAME, view=up)
+    shares = [frame.exposed for frame in frames(found)]
+    assert max(shares[:4]) < 0.01 and 0.1 < shares[4] < 0.3
+    assert any("camera saw nothing" in reason for reason in found.verdicts[4].reasons)
+    assert not any("camera saw nothing" in reason for verdict in found.verdicts[:4] for reason in verdict.reasons)
+    assert quality.assess(above, meshes, FACES, KEYFRAME).frames[4].exposed is None
 
 
 def test_surface_drawn_out_where_no_points_are_is_torn(meshes, clouds) -> None:

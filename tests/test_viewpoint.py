@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from warpdef.config import TemplateConfig
-from warpdef.geometry.viewpoint import layered_share, seen_normals, viewing_direction
+from warpdef.geometry.viewpoint import Picture, layered_share, seen_normals, viewing_direction
 from warpdef.template.build import build
 
 EYES = [(0.0, 0.0, 1.0), (1.0, 0.2, -0.3), (-0.5, -0.7, 0.5)]
@@ -75,3 +75,13 @@ def test_seen_normals_are_not_repaired():
     assert inwards.report.flipped == 0
     a, b, c = np.moveaxis(inwards.mesh.vertices[inwards.mesh.faces], 1, 0)
     assert np.cross(b - a, c - a)[:, 2].mean() < 0
+
+
+def test_a_picture_is_contradicted_beside_its_points_and_before_them():
+    x, y = np.meshgrid(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 21))
+    picture = Picture.of(np.column_stack([x.ravel(), y.ravel(), np.zeros(441)]), np.array([0.0, 0.0, 1.0]))
+    places = np.array([[0.5, 0.5, 0.0], [0.5, 0.5, -0.7], [0.5, 0.5, 0.6], [1.4, 0.5, -0.3]])
+    which, allowed, way = picture.contradicts(places, 0.1)
+    np.testing.assert_array_equal(which, [2, 3])
+    np.testing.assert_allclose(allowed, [[0.5, 0.5, 0.0], [1.0, 0.5, -0.3]], atol=1e-12)
+    np.testing.assert_allclose(way, [[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]], atol=1e-12)

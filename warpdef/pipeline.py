@@ -159,7 +159,7 @@ def reconstruct(
                 result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=run.steps, motion=motion)
                 with clock.phase("assess"):
                     result.appearance, colored, left = _look(result, sequence, template)
-                    judged = _assess(result, sequence, threads or usable_cores())
+                    judged = _assess(result, sequence, threads or usable_cores(), view)
                 result.report = _report(sequence, chosen, run, team.size, clock, estimate)
                 result.report["warnings"] += left + judged.pop("warnings")
                 result.report |= {"colours": colored, "landmarks": led}
@@ -240,10 +240,11 @@ def _look(
     return look, told, [left] if found.unseen >= _UNSEEN_TOLD else []
 
 
-def _assess(result: Reconstruction, sequence: PointSequence, threads: int) -> dict:
+def _assess(result: Reconstruction, sequence: PointSequence, threads: int, view: np.ndarray | None) -> dict:
     """What the clouds alone say of the result, for its report; the confidence goes into the result."""
     try:
-        found = assess(sequence.judged_frames(), result.vertices, result.faces, result.keyframe, threads=threads)
+        placed = result.vertices, result.faces, result.keyframe
+        found = assess(sequence.judged_frames(), *placed, threads=threads, view=view)
     except MissingPackageError as error:  # no reason to lose a finished fit
         return {"warnings": [f"the frames are not judged: {error}"]}
     result.confidence = found.confidence

@@ -30,6 +30,7 @@ from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.rotations import nearest_rotation
 from warpdef.geometry.sampling import spread_evenly
 from warpdef.geometry.triangles import is_watertight, vertex_normals
+from warpdef.geometry.viewpoint import Picture
 
 NODES = 300
 POINTS = 2000
@@ -71,40 +72,6 @@ _TINY = 1e-30
 
 Matched = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Vertices (m,), their goals and the normals there, (m, 3) each, and weights (m,)."""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """What a camera saw, from far away. axes: across its view, (3, 2). view: unit vector towards it (3,).
-    tree: of the points in its picture. depth: along the view (N,)."""
-
-    axes: np.ndarray
-    view: np.ndarray
-    tree: Any
-    depth: np.ndarray
-
-    @classmethod
-    def of(cls, points: np.ndarray, view: np.ndarray) -> Picture:
-        """Of points (N, 3)."""
-        from scipy.spatial import cKDTree
-
-        axes = np.linalg.svd(view[None])[2][1:].T
-        return cls(axes, view, cKDTree(points @ axes), points @ view)
-
-    def contradicts(self, places: np.ndarray, room: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Places (m, 3) that it would have shown and did not: beside all points or before them by more than ``room``.
-
-        Returns:
-            Which they are (c,), the nearest places that it does not contradict, and the directions there, (c, 3) each.
-        """
-        beside, nearest = self.tree.query(places @ self.axes)
-        before = places @ self.view - self.depth[nearest]
-        way = (self.tree.data[nearest] - places @ self.axes) @ self.axes.T
-        back = (beside <= room) & (before > room)
-        way[back] = -before[back, None] * self.view
-        which = np.flatnonzero((beside > room) | back)
-        way = way[which]
-        return which, places[which] + way, way / np.linalg.norm(way, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ closed bodies (``cloud_normals``) has to guess, and does so from frame to frame.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +58,40 @@ def viewing_direction(clouds: Sequence[np.ndarray]) -> np.ndarray | None:
 def seen_normals(points: np.ndarray, view: np.ndarray, neighbours: int) -> np.ndarray:
     """Unit normals of local planes, shape (N, 3), on the side of ``view``, shape (3,)."""
     return turned_to(pca_normals(points, neighbours), np.broadcast_to(view, points.shape))
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a camera saw, from far away. axes: across its view, (3, 2). view: unit vector towards it (3,).
+    tree: of the points in its picture. depth: along the view (N,)."""
+
+    axes: np.ndarray
+    view: np.ndarray
+    tree: Any
+    depth: np.ndarray
+
+    @classmethod
+    def of(cls, points: np.ndarray, view: np.ndarray) -> Picture:
+        """Of points (N, 3)."""
+        from scipy.spatial import cKDTree
+
+        axes = np.linalg.svd(view[None])[2][1:].T
+        return cls(axes, view, cKDTree(points @ axes), points @ view)
+
+    def contradicts(self, places: np.ndarray, room: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Places (m, 3) that it would have shown and did not: beside all points or before them by more than ``room``.
+
+        Returns:
+            Which they are (c,), the nearest places that it does not contradict, and the directions there, (c, 3) each.
+        """
+        beside, nearest = self.tree.query(places @ self.axes)
+        before = places @ self.view - self.depth[nearest]
+        way = (self.tree.data[nearest] - places @ self.axes) @ self.axes.T
+        back = (beside <= room) & (before > room)
+        way[back] = -before[back, None] * self.view
+        which = np.flatnonzero((beside > room) | back)
+        way = way[which]
+        return which, places[which] + way, way / np.linalg.norm(way, axis=1, keepdims=True)
 
 
 def half_sphere(count: int) -> np.ndarray:

@@ -13,6 +13,7 @@ from warpdef.cloud import FramePoints, draw_points
 from warpdef.quality.confidence import vertex_confidence
 from warpdef.quality.coverage import Coverage, doubled_vertices, measure_coverage
 from warpdef.quality.enclosed import inner_share
+from warpdef.quality.exposed import exposed_share
 from warpdef.quality.frame import FrameQuality
 from warpdef.quality.overhang import overhang_share, surplus_share
 from warpdef.quality.shape import ReferenceShape, ShapeChange
@@ -79,6 +80,7 @@ def assess(
     keyframe: int,
     shape: np.ndarray | None = None,
     threads: int = 1,
+    view: np.ndarray | None = None,
 ) -> Assessment:
     """Measure every frame of a result against its cloud and against the shape, and judge it.
 
@@ -89,6 +91,7 @@ def assess(
         shape: shape (V, 3), the shape that all frames should have; the keyframe's mesh if not given, and the keyframe
             itself is then held against the median of all frames' edges.
         threads: frames looked at side by side; the answer is the same.
+        view: unit vector towards the one camera that saw all clouds, (3,); None if there was none.
 
     Raises:
         MissingPackageError: gpytoolbox cannot be imported.
@@ -107,15 +110,17 @@ def assess(
         placed = vertices[t] - centre
         change = reference.compare(placed, usual if t == keyframe else None)
         coverage = measure_coverage(points - centre, placed, faces) if len(points) else None
-        inner = doubled = layered = overhang = None
+        inner = doubled = layered = overhang = exposed = None
         if coverage is not None:
             inner = inner_share(points - centre, placed, faces, coverage)
             overhang = overhang_share(points - centre, placed, faces, coverage)
+            if view is not None:
+                exposed = exposed_share(points - centre, placed, faces, coverage, view)
             of_vertices = doubled_vertices(coverage, placed, reference.vertices, faces)
             doubled, layered = (coverage.share(found[faces].mean(axis=1)) for found in of_vertices)
         blur = None if coverage is None or reference.thin is None else coverage.noise / reference.thin
         layers = {"inner": inner, "doubled": doubled, "layered": layered, "blur": blur}
-        layers |= {"overhang": overhang, "surplus": None}
+        layers |= {"exposed": exposed, "overhang": overhang, "surplus": None}
         quality = _frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm))
         return quality, coverage, change.stretch
 

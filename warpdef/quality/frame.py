@@ -22,6 +22,7 @@ class FrameQuality:
     unseen:       share of the surface that the frame does not show, far or not
     doubled:      share of the surface that is near points of another part, and was apart from it in the shape
     layered:      share of it that is so and faces the same way as that part: a second layer on it
+    exposed:      share of the surface that stands where the one camera that saw all clouds saw nothing
     inner:        share of the surface that is far from every point and enclosed by them: a wall between what has parted
     torn:         share of the surface that is far from every point and stretched at that
     overhang:     share of the surface that lies far beyond points whose own surface closes
@@ -51,6 +52,7 @@ class FrameQuality:
     unseen: float | None
     doubled: float | None
     layered: float | None
+    exposed: float | None
     inner: float | None
     torn: float | None
     overhang: float | None
