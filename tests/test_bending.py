@@ -23,6 +23,7 @@ from warpdef.geometry.closest import closest_on_surface
 from warpdef.geometry.triangles import unique_edges, vertex_normals
 
 EYE = np.array([0.0, 0.0, 1.0])
+CAMERA = 20.0 * EYE
 
 
 def seen_part(vertices: np.ndarray, faces: np.ndarray, seed: int = 0, without: float = -np.inf) -> SeenCloud:
@@ -111,8 +112,8 @@ def test_what_the_camera_would_have_seen_is_pushed_out_of_sight():
     bending = bending_of(rest, faces)
     normals = np.tile(EYE, (shown.sum(), 1))
     beside = []
-    for view in (None, EYE):
-        cloud = SeenCloud.of(rest[shown], normals, view)
+    for eye in (None, CAMERA):
+        cloud = SeenCloud.of(rest[shown], normals, eye)
         placed = bending.place(bending.onto(cloud, bending.still()))
         beside.append(cKDTree(rest[shown][:, :2]).query(placed[~shown][:, :2])[0].mean())
         assert np.quantile(closest_on_surface(cloud.points, placed, faces)[0], 0.95) < 0.03
@@ -167,7 +168,7 @@ def test_clouds_of_one_camera_are_followed_by_bending():
     clouds, normals = ([a[s] for a, s in zip(all_, shown, strict=True)] for all_ in (turning.clouds, turning.normals))
     config = replace(Config(), grid=replace(Config().grid, levels=3))
     device = find_device("cpu")
-    problem = Problem(clouds, normals, turning.vertices[2], turning.faces, 2, config, device, view=EYE)
+    problem = Problem(clouds, normals, turning.vertices[2], turning.faces, 2, config, device, eye=CAMERA)
     assert not problem.measures.complete.any()
     with closing(Team(1)) as team:
         optimiser = Optimiser(problem, 1, team)
@@ -225,7 +226,7 @@ def test_what_one_camera_does_not_see_is_held_where_the_bending_left_it():
     config = replace(Config(), grid=replace(Config().grid, levels=3))
     with closing(Team(1)) as team:
         problem = Problem(
-            clouds, normals, turning.vertices[1], turning.faces, 1, config, find_device("cpu"), view=EYE
+            clouds, normals, turning.vertices[1], turning.faces, 1, config, find_device("cpu"), eye=CAMERA
         )  # fmt: skip
         optimiser = Optimiser(problem, 1, team)
         optimiser.finish()

@@ -157,7 +157,7 @@ def test_what_the_camera_should_have_seen_is_told(meshes, clouds) -> None:
         above[t] = above[t][(above[t] - middle[t]) @ (moved(t)[-1] - moved(t)[-2]) > 0.0]
     folded = VERTICES * [-1.0, 1.0, 1.0] - [0.0, 0.0, 1.5]
     meshes[3] = moved(3, np.where(VERTICES[:, :1] < 0.0, folded, VERTICES))
-    found = assess(above, meshes, FACES, KEYFRAME, view=up)
+    found = assess(above, meshes, FACES, KEYFRAME, eye=50.0 * up)
     shares = [frame.exposed for frame in frames(found)]
     assert max(shares[:4]) < 0.01 and 0.1 < shares[4] < 0.3
     assert any("camera saw nothing" in reason for reason in found.verdicts[4].reasons)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from warpdef.config import TemplateConfig
-from warpdef.geometry.viewpoint import Picture, layered_share, seen_normals, viewing_direction
+from warpdef.geometry.viewpoint import Picture, camera_place, layered_share, seen_normals, viewing_direction
 from warpdef.template.build import build
 
 EYES = [(0.0, 0.0, 1.0), (1.0, 0.2, -0.3), (-0.5, -0.7, 0.5)]
@@ -78,10 +78,51 @@ def test_seen_normals_are_not_repaired():
 
 
 def test_a_picture_is_contradicted_beside_its_points_and_before_them():
+    """A square of 1, seen from 2 above its middle: what is nearer to the eye covers more of it."""
     x, y = np.meshgrid(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 21))
-    picture = Picture.of(np.column_stack([x.ravel(), y.ravel(), np.zeros(441)]), np.array([0.0, 0.0, 1.0]))
-    places = np.array([[0.5, 0.5, 0.0], [0.5, 0.5, -0.7], [0.5, 0.5, 0.6], [1.4, 0.5, -0.3]])
+    eye = np.array([0.5, 0.5, 2.0])
+    picture = Picture.of(np.column_stack([x.ravel(), y.ravel(), np.zeros(441)]), eye)
+    places = np.array([[0.5, 0.5, 0.0], [0.5, 0.5, -0.7], [0.5, 0.5, 0.6], [1.4, 0.5, -0.3], [1.4, 0.5, -2.0]])
     which, allowed, way = picture.contradicts(places, 0.1)
     np.testing.assert_array_equal(which, [2, 3])
-    np.testing.assert_allclose(allowed, [[0.5, 0.5, 0.0], [1.0, 0.5, -0.3]], atol=1e-12)
+    # Beside the square, to its rim: at a depth of 2.3 that is 0.5 x 2.3 / 2 from the middle.
+    np.testing.assert_allclose(allowed, [[0.5, 0.5, 0.0], [1.075, 0.5, -0.3]], atol=1e-12)
     np.testing.assert_allclose(way, [[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]], atol=1e-12)
+    # Down a ray that is aslant.
+    aside = picture.contradicts(np.array([[0.75, 0.5, 1.0]]), 0.1)[1]
+    np.testing.assert_allclose(aside, [[1.0, 0.5, 0.0]], atol=1e-12)
+
+
+def seen_from(eye: np.ndarray, rng: np.random.Generator, pixels: int = 70) -> np.ndarray:
+    """The ellipsoid in the middle, a point a pixel of a camera at ``eye``."""
+    distance = np.linalg.norm(eye)
+    view = eye / distance
+    u = np.cross(view, [0.3, 1.0, 0.2])
+    u /= np.linalg.norm(u)
+    i, j = np.meshgrid(*2 * (np.linspace(-1.1, 1.1, pixels),), indexing="ij")
+    ray = i[..., None] * u + j[..., None] * np.cross(view, u) - distance * view
+    ray = ray.reshape(-1, 3) / np.linalg.norm(ray.reshape(-1, 3), axis=1, keepdims=True)
+    a, b, c = ((ray / AXES) ** 2).sum(1), (ray * eye / AXES**2).sum(1), ((eye / AXES) ** 2).sum() - 1.0
+    hit = b * b > a * c
+    depth = (-b[hit] - np.sqrt(b[hit] ** 2 - a[hit] * c)) / a[hit]
+    points = eye + depth[:, None] * ray[hit]
+    return points[rng.random(len(points)) < 0.7]
+
+
+@pytest.mark.parametrize("distance", [3.0, 6.0])
+def test_a_camera_is_found_where_points_lie_equally_dense(distance: float, rng):
+    """Within an angle of six degrees and a third of its distance."""
+    for towards in EYES:
+        eye = distance * np.array(towards) / np.linalg.norm(towards)
+        shift = rng.normal(size=3)
+        found = camera_place([seen_from(eye, rng) + shift for _ in range(3)])
+        assert found is not None
+        found = found - shift
+        cosine = found @ eye / np.linalg.norm(found) / distance
+        assert cosine > np.cos(np.radians(6.0)), np.degrees(np.arccos(cosine))
+        assert 0.67 < np.linalg.norm(found) / distance < 1.5, np.linalg.norm(found)
+
+
+def test_no_camera_is_found_where_none_was():
+    rng = np.random.default_rng(0)
+    assert camera_place([whole(rng, 1500)[0] for _ in range(3)]) is None

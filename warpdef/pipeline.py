@@ -31,7 +31,7 @@ from warpdef.fit.saving import Saved, Saver, lasting_facts
 from warpdef.fit.workers import Team
 from warpdef.geometry.cloud_normals import pca_normals
 from warpdef.geometry.surface_colors import surface_colors
-from warpdef.geometry.viewpoint import seen_normals, viewing_direction
+from warpdef.geometry.viewpoint import camera_place, direction_towards, seen_normals
 from warpdef.kernel_cache import cache_warnings
 from warpdef.memory import MemoryEstimate
 from warpdef.mesh import MeshSequence, TriMesh, float32_where_exact
@@ -93,7 +93,8 @@ def reconstruct(
     # Keyframe Selection: the frame with most surface near the middle, and screened Poisson on it.
     tell(Progress("template"))
     with clock.phase("template"):
-        view = viewing_direction(in_cube()) if any(n is None for n in sequence.normals) else None
+        eye = camera_place(in_cube()) if any(n is None for n in sequence.normals) else None
+        view = None if eye is None else direction_towards(eye, in_cube())
         chosen = _template(sequence, template, into, config, saved, view)
     for warning in (*sequence.warnings, *chosen.warnings):
         tell(Progress("template", message=warning))
@@ -119,7 +120,7 @@ def reconstruct(
                     steady = replace(steady, refine=replace(steady.refine, time=0.0))
                 ends = mesh.vertices, mesh.faces, keyframe
                 times = None if sequence.order else sequence.numbers
-                problem = Problem(clouds, normals, *ends, steady, target, given, view, times)
+                problem = Problem(clouds, normals, *ends, steady, target, given, eye, times)
                 optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
                 del clouds, normals
                 refinement = (
@@ -159,7 +160,9 @@ def reconstruct(
                 result = Reconstruction(vertices, mesh.faces, chosen.keyframe, config, steps=run.steps, motion=motion)
                 with clock.phase("assess"):
                     result.appearance, colored, left = _look(result, sequence, template)
-                    judged = _assess(result, sequence, threads or usable_cores(), view)
+                    judged = _assess(
+                        result, sequence, threads or usable_cores(), None if eye is None else into.from_cube(eye)
+                    )
                 result.report = _report(sequence, chosen, run, team.size, clock, estimate)
                 result.report["warnings"] += left + judged.pop("warnings")
                 result.report |= {"colours": colored, "landmarks": led}
@@ -240,11 +243,11 @@ def _look(
     return look, told, [left] if found.unseen >= _UNSEEN_TOLD else []
 
 
-def _assess(result: Reconstruction, sequence: PointSequence, threads: int, view: np.ndarray | None) -> dict:
+def _assess(result: Reconstruction, sequence: PointSequence, threads: int, eye: np.ndarray | None) -> dict:
     """What the clouds alone say of the result, for its report; the confidence goes into the result."""
     try:
         placed = result.vertices, result.faces, result.keyframe
-        found = assess(sequence.judged_frames(), *placed, threads=threads, view=view)
+        found = assess(sequence.judged_frames(), *placed, threads=threads, eye=eye)
     except MissingPackageError as error:  # no reason to lose a finished fit
         return {"warnings": [f"the frames are not judged: {error}"]}
     result.confidence = found.confidence

@@ -77,23 +77,23 @@ Matched = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 @dataclass(frozen=True)
 class SeenCloud:
     """points: (N, 3). normals: (N, 3), unit, on the camera's side. spacing: mean distance to the nearest point.
-    view: unit vector towards the camera (3,), None if there is none."""
+    eye: place of the camera (3,), None if there is none."""
 
     points: np.ndarray
     normals: np.ndarray
     spacing: float
-    view: np.ndarray | None = None
+    eye: np.ndarray | None = None
 
     @classmethod
-    def of(cls, points: np.ndarray, normals: np.ndarray, view: np.ndarray | None = None) -> SeenCloud:
+    def of(cls, points: np.ndarray, normals: np.ndarray, eye: np.ndarray | None = None) -> SeenCloud:
         """At most ``POINTS`` of points (N, 3) with normals (N, 3)."""
         chosen = _spread(points, POINTS)
-        return cls(points[chosen], normals[chosen], mean_spacing(points[chosen]), view)
+        return cls(points[chosen], normals[chosen], mean_spacing(points[chosen]), eye)
 
     @cached_property
     def picture(self) -> Picture | None:
         """Its points as the camera saw them."""
-        return None if self.view is None else Picture.of(self.points, self.view)
+        return None if self.eye is None else Picture.of(self.points, self.eye)
 
     def thinned(self, count: int) -> SeenCloud:
         """At most ``count`` of its points."""
@@ -230,7 +230,7 @@ class Bending:
         """Which of some vertices (m,) the camera would have seen and did not, where they may be, and the way there."""
         if cloud.picture is None:
             return vertex[:0], placed[:0], placed[:0]
-        towards = vertex[facing[vertex] @ cloud.picture.view > 0.0]
+        towards = vertex[(facing[vertex] * (cloud.picture.eye - placed[vertex])).sum(axis=1) > 0.0]
         which, goal, way = cloud.picture.contradicts(placed[towards], ROOM * cloud.spacing)
         return towards[which], goal, way
 

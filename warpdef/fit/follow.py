@@ -102,7 +102,7 @@ class _Walk:
             source, target = int(ends.source[s]), int(ends.target[s])
             if self.stopped():
                 break
-            cloud = SeenCloud.of(*self._points(target), self.problem.view)
+            cloud = SeenCloud.of(*self._points(target), self.problem.eye)
             poses[target] = bending.onto(cloud, poses[source], usual)
             usual = bending.fault(cloud, poses[target])
             self.objective.vertices[target].assign(bending.place(poses[target]).astype(np.float32))

@@ -47,8 +47,8 @@ class Problem:
         clouds: T arrays (N_t, 3), cube units. normals: T arrays (N_t, 3), unit length; or None.
         vertices: template at the keyframe, (V, 3), cube units. faces: (F, 3). keyframe: its frame.
         oriented: whether a frame's normals are known to point outwards; None: all are.
-        view: unit vector towards the camera, (3,), where one saw all clouds: normals are on its side beyond doubt, and
-            no frame shows all. None: there is no such camera.
+        eye: place of the camera, (3,), where one saw all clouds: normals are on its side beyond doubt, and no frame
+            shows all. None: there is no such camera.
         times: of the frames, (T,), ascending, in any unit; None: one apart.
     """
 
@@ -62,12 +62,12 @@ class Problem:
         config: Config,
         device: wp.Device,
         oriented: Sequence[bool] | None = None,
-        view: np.ndarray | None = None,
+        eye: np.ndarray | None = None,
         times: Sequence[float] | None = None,
     ) -> None:
         self.config, self.device, self.way, self.pool = config, device, way_of(device), Pool(device)
         self.transitions = Transitions.away_from(keyframe, len(clouds))
-        self.view, self.seen = view, view is not None
+        self.eye, self.seen = eye, eye is not None
         self.times = np.arange(len(clouds)) if times is None else np.asarray(times)
         self.levels = LevelTable.build(config.grid.coarsest, config.grid.levels)
         orders = [morton_order(c) for c in clouds]

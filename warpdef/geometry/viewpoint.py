@@ -1,4 +1,4 @@
-"""Where clouds were seen from: the direction of the one depth camera that stood still, if there was one.
+"""Where clouds were seen from: the place of the one depth camera that stood still, if there was one.
 
 Seen from its camera a cloud has one layer: of points that lie side by side in the picture few differ in depth. All
 around a body there are two, whatever the direction. A camera in front and one behind would see the same layers; but
@@ -8,7 +8,7 @@ closed bodies (``cloud_normals``) has to guess, and does so from frame to frame.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,10 @@ LAYERED_MAX = 0.1
 """Share of steps up to which a cloud has one layer: 0.00 to 0.09 from one camera, 0.12 from two, 0.35 all around."""
 PLAUSIBLE = 0.15  # the same for the nearest of the first directions
 AROUND = 32  # neighbours against whose middle a point bulges
+EVEN = 8  # neighbours in the picture that tell its density there
+TRIES = 70  # places of the camera
+NEAREST, FARTHEST = 1.25, 25.0  # of the camera, in the longest side of what it saw
+NEARBY = 0.05  # least depth in a picture, in the distance of its centre
 BULGE_MIN = 0.1  # mean over points, in units of the mean size: a sheet, waved about, has no outside
 
 
@@ -60,23 +64,84 @@ def seen_normals(points: np.ndarray, view: np.ndarray, neighbours: int) -> np.nd
     return turned_to(pca_normals(points, neighbours), np.broadcast_to(view, points.shape))
 
 
+def camera_place(clouds: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Where the camera stands that saw all clouds, shape (3,), the clouds' units; None if they do not look so.
+
+    A camera has a pixel for each point, so that in its picture they lie equally dense, however steep or far a surface
+    is; from anywhere else what is steep is dense. The place of the most even density is looked for, by Nelder and
+    Mead's simplex. A camera farther away than ``FARTHEST`` times the clouds' size is put there.
+
+    Args:
+        clouds: T arrays (N_t, 3). Some frames and points speak for all.
+    """
+    direction = viewing_direction(clouds)
+    return None if direction is None else _most_even_place(clouds, direction)
+
+
+def direction_towards(eye: np.ndarray, clouds: Iterable[np.ndarray]) -> np.ndarray:
+    """Unit vector from the middle of clouds (N_t, 3) towards a place (3,)."""
+    return _view(eye, np.mean([cloud.mean(axis=0) for cloud in clouds], axis=0))[0]
+
+
+def _most_even_place(clouds: Sequence[np.ndarray], direction: np.ndarray) -> np.ndarray:
+    """The place of the most even density, around a rough direction."""
+    from scipy.optimize import minimize
+    from scipy.spatial import cKDTree
+
+    chosen = np.unique(np.linspace(0, len(clouds) - 1, min(FRAMES, len(clouds))).round().astype(int))
+    samples = [_sample(clouds[t]) for t in chosen]
+    flat = np.concatenate(samples)
+    centre, size = flat.mean(axis=0), float(np.ptp(flat, axis=0).max())
+    across = _across(direction)[0][:2]
+
+    def place(x: np.ndarray) -> np.ndarray:
+        towards = direction + x[:2] @ across
+        return centre + towards / np.linalg.norm(towards) * size / np.clip(x[2], 1.0 / FARTHEST, 1.0 / NEAREST)
+
+    def unevenness(x: np.ndarray) -> float:
+        eye = place(x)
+        spread = 0.0
+        for points in samples:
+            picture = Picture.across(eye, centre, points)
+            around = cKDTree(picture).query(picture, k=[min(EVEN + 1, len(points))])[0][:, 0]
+            # Beyond the borders of what is seen there is nothing: there the density is low, from wherever.
+            low, high = np.quantile(np.maximum(around, np.finfo(float).tiny), (0.1, 0.8))
+            spread += float(np.log(high / low))
+        return spread + 10.0 * max(1.0 / FARTHEST - x[2], x[2] - 1.0 / NEAREST, 0.0)
+
+    start = np.array([0.0, 0.0, 0.5 / NEAREST])
+    simplex = start + np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.0, 0.15, 0.0], [0.0, 0.0, 0.3 / NEAREST]])
+    options = {"initial_simplex": simplex, "maxfev": TRIES, "xatol": 0.005, "fatol": 1e-4}
+    return place(minimize(unevenness, start, method="Nelder-Mead", options=options).x)
+
+
 @dataclass(frozen=True)
 class Picture:
-    """What a camera saw, from far away. axes: across its view, (3, 2). view: unit vector towards it (3,).
-    tree: of the points in its picture. depth: along the view (N,)."""
+    """What a camera saw of some points, N of them. Lengths in it are those at the depth of ``centre``.
 
-    axes: np.ndarray
-    view: np.ndarray
+    eye, centre: (3,). tree: of the points in the picture. depth: from the camera's plane (N,).
+    """
+
+    eye: np.ndarray
+    centre: np.ndarray
     tree: Any
     depth: np.ndarray
 
     @classmethod
-    def of(cls, points: np.ndarray, view: np.ndarray) -> Picture:
-        """Of points (N, 3)."""
+    def of(cls, points: np.ndarray, eye: np.ndarray) -> Picture:
+        """Of points (N, 3), seen from ``eye`` (3,)."""
         from scipy.spatial import cKDTree
 
-        axes = np.linalg.svd(view[None])[2][1:].T
-        return cls(axes, view, cKDTree(points @ axes), points @ view)
+        centre = points.mean(axis=0)
+        view, distance = _view(eye, centre)
+        return cls(eye, centre, cKDTree(cls.across(eye, centre, points)), distance - (points - centre) @ view)
+
+    @staticmethod
+    def across(eye: np.ndarray, centre: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Places (m, 3) in the picture, (m, 2); what lies in or behind the camera's plane is taken to be before it."""
+        view, distance = _view(eye, centre)
+        depth = np.maximum(distance - (places - centre) @ view, NEARBY * distance)
+        return (places - centre) @ np.stack(_across(view)[0][:2], axis=1) * (distance / depth)[:, None]
 
     def contradicts(self, places: np.ndarray, room: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Places (m, 3) that it would have shown and did not: beside all points or before them by more than ``room``.
@@ -84,14 +149,26 @@ class Picture:
         Returns:
             Which they are (c,), the nearest places that it does not contradict, and the directions there, (c, 3) each.
         """
-        beside, nearest = self.tree.query(places @ self.axes)
-        before = places @ self.view - self.depth[nearest]
-        way = (self.tree.data[nearest] - places @ self.axes) @ self.axes.T
+        view, distance = _view(self.eye, self.centre)
+        picture = self.across(self.eye, self.centre, places)
+        beside, nearest = self.tree.query(picture)
+        depth = distance - (places - self.centre) @ view
+        before = self.depth[nearest] - depth
+        sideways = (self.tree.data[nearest] - picture) * (depth / distance)[:, None]
+        way = sideways @ np.stack(_across(view)[0][:2])
         back = (beside <= room) & (before > room)
-        way[back] = -before[back, None] * self.view
+        ray = places[back] - self.eye
+        way[back] = ray * (before[back] / depth[back])[:, None]
         which = np.flatnonzero((beside > room) | back)
         way = way[which]
         return which, places[which] + way, way / np.linalg.norm(way, axis=1, keepdims=True)
+
+
+def _view(eye: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, float]:
+    """Unit vector from a place towards the camera, and how far it is."""
+    towards = eye - centre
+    distance = float(np.linalg.norm(towards))
+    return towards / distance, distance
 
 
 def half_sphere(count: int) -> np.ndarray:

@@ -80,7 +80,7 @@ def assess(
     keyframe: int,
     shape: np.ndarray | None = None,
     threads: int = 1,
-    view: np.ndarray | None = None,
+    eye: np.ndarray | None = None,
 ) -> Assessment:
     """Measure every frame of a result against its cloud and against the shape, and judge it.
 
@@ -91,7 +91,7 @@ def assess(
         shape: shape (V, 3), the shape that all frames should have; the keyframe's mesh if not given, and the keyframe
             itself is then held against the median of all frames' edges.
         threads: frames looked at side by side; the answer is the same.
-        view: unit vector towards the one camera that saw all clouds, (3,); None if there was none.
+        eye: place of the one camera that saw all clouds, (3,), input units; None if there was none.
 
     Raises:
         MissingPackageError: gpytoolbox cannot be imported.
@@ -114,8 +114,8 @@ def assess(
         if coverage is not None:
             inner = inner_share(points - centre, placed, faces, coverage)
             overhang = overhang_share(points - centre, placed, faces, coverage)
-            if view is not None:
-                exposed = exposed_share(points - centre, placed, faces, coverage, view)
+            if eye is not None:
+                exposed = exposed_share(points - centre, placed, faces, coverage, eye - centre)
             of_vertices = doubled_vertices(coverage, placed, reference.vertices, faces)
             doubled, layered = (coverage.share(found[faces].mean(axis=1)) for found in of_vertices)
         blur = None if coverage is None or reference.thin is None else coverage.noise / reference.thin

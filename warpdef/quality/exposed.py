@@ -13,21 +13,22 @@ from warpdef.geometry.viewpoint import Picture
 from warpdef.quality.coverage import FAR, Coverage
 
 ROOM = 8.0
-"""Lengths beside or before the points from which surface is in sight: the view is taken to be from far away."""
+"""Lengths beside or before the points from which surface is in sight: where the camera stands is known roughly."""
 
 
 def exposed_share(
-    points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, coverage: Coverage, view: np.ndarray
+    points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, coverage: Coverage, eye: np.ndarray
 ) -> float:
     """Share of the surface that stands where the camera saw nothing, or through it to what is behind.
 
     Args:
         points: shape (N, 3). vertices: shape (V, 3). faces: shape (F, 3). coverage: of these.
-        view: unit vector towards the camera, (3,).
+        eye: place of the camera, (3,), the same units.
     """
-    towards = np.flatnonzero((vertex_normals(vertices, faces) @ view > 0.0) & (coverage.away > FAR))
+    facing = (vertex_normals(vertices, faces) * (eye - vertices)).sum(axis=1) > 0.0
+    towards = np.flatnonzero(facing & (coverage.away > FAR))
     exposed = np.zeros(len(vertices))
     if len(towards):
         room = ROOM * float(np.median(coverage.length))
-        exposed[towards[Picture.of(points, view).contradicts(vertices[towards], room)[0]]] = 1.0
+        exposed[towards[Picture.of(points, eye).contradicts(vertices[towards], room)[0]]] = 1.0
     return coverage.share(exposed[faces].mean(axis=1))
