@@ -80,7 +80,7 @@ def assess_run(run: SavedRun, clouds: Path | None = None) -> dict[str, Any]:
     Raises:
         InputError: the clouds are gone, changed, or of another number of frames.
     """
-    from warpdef.geometry.viewpoint import camera_place
+    from warpdef.geometry.viewpoint import camera_place, viewing_direction
     from warpdef.quality.assess import assess
     from warpdef.run_clouds import clouds_of
 
@@ -88,7 +88,8 @@ def assess_run(run: SavedRun, clouds: Path | None = None) -> dict[str, Any]:
         display.start("load")
         sequence = clouds_of(run, clouds)
         display.start("assess", len(run.meshes), "frames")
-        eye = camera_place(sequence.points) if any(n is None for n in sequence.normals) else None
+        view = viewing_direction(sequence.points) if any(n is None for n in sequence.normals) else None
+        eye = None if view is None else camera_place(sequence.points, view)
         return assess(sequence.judged_frames(), run.vertices, run.faces, run.keyframe, eye=eye).as_dict()
 
 

@@ -31,7 +31,7 @@ from warpdef.fit.saving import Saved, Saver, lasting_facts
 from warpdef.fit.workers import Team
 from warpdef.geometry.cloud_normals import pca_normals
 from warpdef.geometry.surface_colors import surface_colors
-from warpdef.geometry.viewpoint import camera_place, direction_towards, seen_normals
+from warpdef.geometry.viewpoint import camera_place, seen_normals, viewing_direction
 from warpdef.kernel_cache import cache_warnings
 from warpdef.memory import MemoryEstimate
 from warpdef.mesh import MeshSequence, TriMesh, float32_where_exact
@@ -93,8 +93,8 @@ def reconstruct(
     # Keyframe Selection: the frame with most surface near the middle, and screened Poisson on it.
     tell(Progress("template"))
     with clock.phase("template"):
-        eye = camera_place(in_cube()) if any(n is None for n in sequence.normals) else None
-        view = None if eye is None else direction_towards(eye, in_cube())
+        view = viewing_direction(in_cube()) if any(n is None for n in sequence.normals) else None
+        eye = None if view is None else camera_place(in_cube(), view)
         chosen = _template(sequence, template, into, config, saved, view)
     for warning in (*sequence.warnings, *chosen.warnings):
         tell(Progress("template", message=warning))

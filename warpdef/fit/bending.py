@@ -63,6 +63,8 @@ ELSEWHERE = 1.5
 """Distance at rest over that in a pose, from which vertices that meet the same points do not belong together."""
 ROOM = 4.0
 """Distance, in point spacings, from which a vertex stands where the camera would have seen it."""
+FULL_VIEW = 12.0
+"""The same from which that is beyond doubt."""
 PUSH = 0.05
 """Weight of such a vertex, back to what was seen."""
 _UNMET = 0.1  # weight of a vertex's own match below which it is no match
@@ -142,7 +144,8 @@ class Bending:
         return min(found, key=lambda pose: self.fault(cloud, pose))
 
     def fault(self, cloud: SeenCloud, pose: Pose) -> float:
-        """Shares of points uncovered, of vertices on the place of others, and of edges stretched.
+        """Shares of points uncovered, of vertices on the place of others, of edges stretched, and half of the share of
+        vertices that stand in full view unseen: sensors do lose what is steep, or dark, or alone.
 
         A vertex is on the place of another where the vertex that suits its point best is near, but far from it in
         the mesh at rest.
@@ -159,7 +162,9 @@ class Bending:
         apart = np.linalg.norm(self.rest[best] - self.rest[self._chosen], axis=1)
         beside = np.linalg.norm(placed[best] - placed[self._chosen], axis=1)
         double = (met < ON * s) & (apart > ELSEWHERE * beside + ON * s)
-        return float(np.mean(away > ON * s) + np.mean(double) + stretched_share(placed, self._edges, self._lengths))
+        unseen = len(self._contradicted(cloud, placed, facing, self._chosen[met > ON * s], FULL_VIEW)[0])
+        shares = np.mean(away > ON * s), np.mean(double), stretched_share(placed, self._edges, self._lengths)
+        return float(sum(shares)) + 0.5 * unseen / len(self._chosen)
 
     def _by_shares(self, cloud: SeenCloud, start: Pose) -> Pose:
         """From a pose towards where vertices have their share of the points (``transport``), ever closer."""
@@ -225,13 +230,13 @@ class Bending:
         return pose
 
     def _contradicted(
-        self, cloud: SeenCloud, placed: np.ndarray, facing: np.ndarray, vertex: np.ndarray
+        self, cloud: SeenCloud, placed: np.ndarray, facing: np.ndarray, vertex: np.ndarray, room: float = ROOM
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which of some vertices (m,) the camera would have seen and did not, where they may be, and the way there."""
         if cloud.picture is None:
             return vertex[:0], placed[:0], placed[:0]
         towards = vertex[(facing[vertex] * (cloud.picture.eye - placed[vertex])).sum(axis=1) > 0.0]
-        which, goal, way = cloud.picture.contradicts(placed[towards], ROOM * cloud.spacing)
+        which, goal, way = cloud.picture.contradicts(placed[towards], room * cloud.spacing)
         return towards[which], goal, way
 
     def _with_pushed(self, matched: Matched, *asked: Any) -> Matched:

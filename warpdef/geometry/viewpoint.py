@@ -8,7 +8,7 @@ closed bodies (``cloud_normals``) has to guess, and does so from frame to frame.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,27 +64,16 @@ def seen_normals(points: np.ndarray, view: np.ndarray, neighbours: int) -> np.nd
     return turned_to(pca_normals(points, neighbours), np.broadcast_to(view, points.shape))
 
 
-def camera_place(clouds: Sequence[np.ndarray]) -> np.ndarray | None:
-    """Where the camera stands that saw all clouds, shape (3,), the clouds' units; None if they do not look so.
+def camera_place(clouds: Sequence[np.ndarray], direction: np.ndarray) -> np.ndarray:
+    """Where the camera stands that saw all clouds from a rough direction, shape (3,), the clouds' units.
 
     A camera has a pixel for each point, so that in its picture they lie equally dense, however steep or far a surface
     is; from anywhere else what is steep is dense. The place of the most even density is looked for, by Nelder and
     Mead's simplex. A camera farther away than ``FARTHEST`` times the clouds' size is put there.
 
     Args:
-        clouds: T arrays (N_t, 3). Some frames and points speak for all.
+        clouds: T arrays (N_t, 3). Some frames and points speak for all. direction: see ``viewing_direction``.
     """
-    direction = viewing_direction(clouds)
-    return None if direction is None else _most_even_place(clouds, direction)
-
-
-def direction_towards(eye: np.ndarray, clouds: Iterable[np.ndarray]) -> np.ndarray:
-    """Unit vector from the middle of clouds (N_t, 3) towards a place (3,)."""
-    return _view(eye, np.mean([cloud.mean(axis=0) for cloud in clouds], axis=0))[0]
-
-
-def _most_even_place(clouds: Sequence[np.ndarray], direction: np.ndarray) -> np.ndarray:
-    """The place of the most even density, around a rough direction."""
     from scipy.optimize import minimize
     from scipy.spatial import cKDTree
 

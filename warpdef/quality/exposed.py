@@ -12,7 +12,7 @@ from warpdef.geometry.triangles import vertex_normals
 from warpdef.geometry.viewpoint import Picture
 from warpdef.quality.coverage import FAR, Coverage
 
-ROOM = 8.0
+ROOM = 12.0
 """Lengths beside or before the points from which surface is in sight: where the camera stands is known roughly."""
 
 

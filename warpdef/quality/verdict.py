@@ -93,8 +93,8 @@ BOUNDS = (
         0.02,
         _NEVER,
         "{:.0%} of the surface stands where the camera saw nothing",
-        "asked only of what one camera saw; 0 to 1.2 % where what is hidden is out of its sight, a limb held up beside "
-        "the body 3 to 11 %",
+        "asked only of what one camera saw; 0 to 1.2 % where what is hidden is out of its sight, an arm held up beside "
+        "the body 3 to 7 %",
     ),
     Bound(
         "blur",
