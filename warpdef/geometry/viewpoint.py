@@ -130,7 +130,7 @@ class Picture:
         """Places (m, 3) in the picture, (m, 2); what lies in or behind the camera's plane is taken to be before it."""
         view, distance = _view(eye, centre)
         depth = np.maximum(distance - (places - centre) @ view, NEARBY * distance)
-        return (places - centre) @ np.stack(_across(view)[0][:2], axis=1) * (distance / depth)[:, None]
+        return (places - centre) @ np.asarray(_across(view)[0][:2]).T * (distance / depth)[:, None]
 
     def contradicts(self, places: np.ndarray, room: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Places (m, 3) that it would have shown and did not: beside all points or before them by more than ``room``.
@@ -144,7 +144,7 @@ class Picture:
         depth = distance - (places - self.centre) @ view
         before = self.depth[nearest] - depth
         sideways = (self.tree.data[nearest] - picture) * (depth / distance)[:, None]
-        way = sideways @ np.stack(_across(view)[0][:2])
+        way = sideways @ np.asarray(_across(view)[0][:2])
         back = (beside <= room) & (before > room)
         ray = places[back] - self.eye
         way[back] = ray * (before[back] / depth[back])[:, None]
