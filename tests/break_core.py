@@ -180,7 +180,7 @@ BREAKS = [
           "patches are as stiff in noise"),
     Break("kernels/patches.py", "smooth = -local[t, i]", "smooth = local[t, i]", ("patches",),
           "a vertex is driven from its smooth place"),
-    Break("warpdef/fit/rest_shape.py", "self._fair(self._fairings, self._edges", "self._fair(0, self._edges", ("smoothness",),
+    Break("warpdef/fit/rest_shape.py", "_fair(self._fairings,", "_fair(0,", ("smoothness",),
           "a noisy shape is not faired"),
     Break("warpdef/fit/pairing.py", "share > _OPPOSED_MAX", "share > 1.0", ("refine",),
           "given sides are never doubted"),
