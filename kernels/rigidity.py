@@ -14,7 +14,9 @@ from __future__ import annotations
 import warp as wp
 
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
-from warpdef.kernels.sizes import sizes
+from warpdef.kernels.rotation_lanes import LANES_OF_ROTATIONS, following
+from warpdef.kernels.sizes import require_span, sizes
+from warpdef.kernels.ways import Way, way_of
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -87,6 +89,23 @@ def followed_rotation(s: wp.mat33, start: wp.mat33) -> wp.mat33:
     return rotation
 
 
+@wp.func
+def edges_turned(
+    t: int,
+    i: int,
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    rest: wp.array[wp.vec3],
+    vertices: wp.array2d[wp.vec3],
+) -> wp.mat33:
+    """What the best rotation of vertex i in frame t is that of: the sum of the edges' outer products."""
+    s = wp.mat33()
+    for e in range(row[i], row[i + 1]):
+        j = column[e]
+        s += wp.outer(vertices[t, i] - vertices[t, j], rest[i] - rest[j])
+    return s
+
+
 @sizes("threads: T*V; row: V+1; column: E; rest: V; vertices rotation: T V")
 @wp.kernel
 def _fit_rotations(
@@ -103,11 +122,47 @@ def _fit_rotations(
     k = begin + wp.tid()
     t = k // rest.shape[0]
     i = k - t * rest.shape[0]
-    s = wp.mat33()
-    for e in range(row[i], row[i + 1]):
-        j = column[e]
-        s += wp.outer(vertices[t, i] - vertices[t, j], rest[i] - rest[j])
-    rotation[t, i] = followed_rotation(s, rotation[t, i])
+    rotation[t, i] = followed_rotation(edges_turned(t, i, row, column, rest, vertices), rotation[t, i])
+
+
+@wp.func_native(following(NEWTON_STEPS, LEAST_CURVATURE, STILL_SQ))
+def follow_rotations(
+    first: int,
+    last: int,
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    rest: wp.array[wp.vec3],
+    vertices: wp.array2d[wp.vec3],
+    rotation: wp.array2d[wp.mat33],
+) -> int: ...
+
+
+@sizes("threads: T*V; row: V+1; column: E; rest: V; vertices rotation: T V")
+@wp.kernel
+def _fit_rotations_in_lanes(
+    # In:
+    begin: int,
+    count: int,
+    row: wp.array[wp.int32],
+    column: wp.array[wp.int32],
+    rest: wp.array[wp.vec3],
+    vertices: wp.array2d[wp.vec3],
+    # In and out: from those that are there
+    rotation: wp.array2d[wp.mat33],
+):
+    """CPU: one thread a run of vertices, counted over all frames."""
+    first = begin + LANES_OF_ROTATIONS * wp.tid()
+    last = wp.min(first + LANES_OF_ROTATIONS, begin + count)
+    left = follow_rotations(first, last, row, column, rest, vertices, rotation)
+    lane = int(0)
+    while left != 0:
+        if left % 2 == 1:
+            k = first + lane
+            t = k // rest.shape[0]
+            i = k - t * rest.shape[0]
+            rotation[t, i] = nearest_rotation(edges_turned(t, i, row, column, rest, vertices))
+        left = left // 2
+        lane = lane + 1
 
 
 @sizes("threads: T*V; row: V+1; column: E; rest: V; rotation vertices rhs_out: T V")
@@ -203,7 +258,12 @@ def fit_rotations(
         row, column: neighbours, as in ``Graph``. rest: shape (V,) vec3. vertices: shape (T, V) vec3.
         rotation: shape (T, V) mat33; where they are near they are followed, and where they are none, found anew.
     """
-    launch(_fit_rotations, count, [begin, row, column, rest, vertices, rotation], vertices.device)
+    edges, device = [row, column, rest, vertices, rotation], vertices.device
+    if way_of(device) is Way.SPANS:
+        require_span("fit_rotations_in_lanes: threads", begin, count, rotation.size)
+        launch(_fit_rotations_in_lanes, -(-count // LANES_OF_ROTATIONS), [begin, count, *edges], device)
+        return
+    launch(_fit_rotations, count, [begin, *edges], device)
 
 
 def rigid_rhs(

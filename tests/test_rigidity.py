@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 import reference_refine as twin
@@ -13,6 +15,7 @@ from gradients import assert_gradients_close, finite_differences, gradient_of
 from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.graphs import mesh_graph
 from warpdef.kernels.rigidity import fit_rotations, rest_rhs, rigid_rhs, trusted_rest_rhs
+from warpdef.kernels.ways import Way, going
 
 WHOLE = (0, None)
 
@@ -60,6 +63,13 @@ class Mesh:
         for begin, count in self.spans(cuts, self.count):
             trusted_rest_rhs(begin, count, staying, self.row, self.column, rest, weight, turned, moving, out)
         return out.numpy()
+
+
+@pytest.fixture(autouse=True, params=Way)
+def way(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Sixteen vertices at a time, and one by one."""
+    with going(request.param):
+        yield
 
 
 @pytest.fixture
