@@ -30,12 +30,14 @@ def places(x: np.ndarray, y: np.ndarray, w: np.ndarray, rotation: np.ndarray, tu
 
 
 def smooth_places(
-    carried: np.ndarray, local: np.ndarray, rotation: np.ndarray, f: np.ndarray, own: float, course: float
+    carried: np.ndarray, local: np.ndarray, rotation: np.ndarray, f: np.ndarray, shares: tuple[float, float, float]
 ) -> np.ndarray:
     """e (T, V, 3), with the filter as a matrix (T, T)."""
     even = np.einsum("tu,uva->tva", f, carried)
     turned = np.einsum("tvab,tvb->tva", rotation, np.einsum("tu,uva->tva", f, local))
-    return (1 - course) * carried + course * even + own * turned
+    (own, course, chance), off = shares, even - carried
+    share = course + (1 - course) * chance**2 / (chance**2 + (off**2).sum(axis=-1, keepdims=True))
+    return carried + share * off + own * turned
 
 
 def towards_mean(y: np.ndarray, edges: np.ndarray, factor: float, still: np.ndarray) -> np.ndarray:

@@ -2,10 +2,11 @@
 
 The clouds of a sequence are noisy each in its own way, and a mesh that lands on every one of them flickers. Smoothing a
 vertex's way through space bends limbs off their course, for these accelerate; smoothing its place in the moving frame
-of its neighbourhood does not. After the moves that the clouds ask for are made, a second solve with the same matrix
-draws every vertex to its smooth place as far as the clouds let it: neighbourhoods stay free to move, which the same
-pull inside the first solve would have slowed. The noisier the clouds, the more this leaves of rigid patches alone, and
-the more their course is smoothed as well.
+of its neighbourhood does not. The neighbourhood's course is smoothed only where that changes it as little as chance
+does. After the moves that the clouds ask for are made, a second solve with the same matrix draws every vertex to its
+smooth place as far as the clouds let it: neighbourhoods stay free to move, which the same pull inside the first solve
+would have slowed. The noisier the clouds, the more this leaves of rigid patches alone, and the more their course is
+smoothed wherever it goes.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ _SIDE = 3  # frames on either side that a place is smoothed over
 _REACH = _SIDE + 0.5  # usual steps in time up to which they are: a parabola does not reach over long gaps
 _OWN_LEFT_OUT = 0.5  # share of a vertex's own smooth motion that is given up at noise 1
 _COURSE = 0.5  # share in which the patches' own motion is smoothed at noise 1: limbs accelerate, and that must stay
+_CHANCE = 0.04  # of an edge: so far patches of clean clouds are off an even course by chance; 0 at noise 1
 _ALONE = 4.0  # weight where there is no time to be smooth in, before it is stiffened
 _STIFFENING = 25.0  # factor on the weight at noise 1
 _ORDER = 2  # a parabola through them: what accelerates evenly stays
@@ -53,7 +55,8 @@ class Smoothness:
             return
         # Of noisy clouds what a vertex does on its own is mostly noise, and so is part of what its neighbourhood does.
         share = min(noise, 1.0)
-        self._shares = 1.0 - _OWN_LEFT_OUT * share, _COURSE * share
+        chance = _CHANCE * p.edge_length * (1.0 - share) if ordered else 0.0
+        self._shares = 1.0 - _OWN_LEFT_OUT * share, _COURSE * share, chance
         self.weight *= _STIFFENING**noise
         index, weight = patches_of(p.template, p.edges.numpy())
         row, member, strength = _members(index, weight)
