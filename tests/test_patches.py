@@ -61,13 +61,13 @@ class PatchScene:
     def hold(self, carried, local, hold=0.7, shares=SHARES, start=0.0, cuts=(0,)) -> tuple[np.ndarray, np.ndarray]:
         """Matrix and right-hand side."""
         starts, rows = time_filter(np.arange(len(carried)))
-        on, shape = self.device, carried.shape
+        on, shape, (own, course, chance) = self.device, carried.shape, shares
         first, weights = put(starts, wp.int32, on), wp.array(rows.astype(np.float32), dtype=wp.float32, device=on)
         places = put(self.rotation[: len(carried)], wp.mat33, on), put(carried, wp.vec3, on), put(local, wp.vec3, on)
         matrix = put(np.full((*shape, 3), start), wp.mat33, on)
         rhs = put(np.full(shape, np.nan), wp.vec3, on)
         for begin, count in spans(cuts, shape[0] * shape[1]):
-            smooth_rhs(begin, count, hold, *shares, first, weights, *places, matrix, rhs)
+            smooth_rhs(begin, count, hold, own, course, chance, first, weights, *places, matrix, rhs)
         return matrix.numpy(), rhs.numpy()
 
 
