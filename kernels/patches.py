@@ -4,15 +4,17 @@
     local place of vertex i:      r_i,t = R_i,t^T (x_i,t - p_i,t)
     where its patches carry it:   p_i,t = sum_n w_in (Q_n,t y_i + s_n,t),   so that x = p + R r
     its course, off the even one: d_i,t = sum_u F_tu p_i,u - p_i,t
-    share of that given up:       s = c + (1 - c) k^2 / (k^2 + |d|^2)
+    how even it is:               q = k^2 / (k^2 + |d|^2)
+    share of d given up:          s = c + (1 - c) q
     smooth place:                 e_i,t = p_i,t + s d_i,t + o R_i,t sum_u F_tu r_i,u
-    held there:                   A += h I,   b = h (e - x)
+    held there:                   A += g I,   b = g (e - x),   g = h (1 + f q)
 
 x a vertex, y its place in the rest shape, R its own rotation (``rigidity``), w its weights in at most four patches, F a
 filter over the frames around t, c and o shares from 0 to 1, k a length. With c = 0, k = 0 and o = 1 patches carry
 vertices along whatever they do, so that arcs stay arcs and a kick stays a kick: only what is left of a vertex's motion
 in its neighbourhood is filtered. With k above 0 the patches' course is smoothed where it is off by k or less, as by
-chance, with c above 0 wherever it goes; with o below 1 less is left of the vertex's own.
+chance, with c above 0 wherever it goes; with o below 1 less is left of the vertex's own. Where the course is even a
+vertex is held the more firmly, by f: smooth places are surer there.
 """
 
 from __future__ import annotations
@@ -101,6 +103,7 @@ def _smooth_rhs(
     own: float,
     course: float,
     chance: float,
+    firmer: float,
     first: wp.array[wp.int32],
     filter: wp.array2d[wp.float32],
     rotation: wp.array2d[wp.mat33],
@@ -119,11 +122,13 @@ def _smooth_rhs(
     for c in range(filter.shape[1]):
         smooth += own * filter[t, c] * local[first[t] + c, i]
         off += filter[t, c] * carried[first[t] + c, i]
-    share = course
+    even = float(0.0)
     if chance > 0.0:
-        share += (1.0 - course) * chance * chance / (chance * chance + wp.length_sq(off))
-    matrix_out[t, i] = matrix_out[t, i] + hold * wp.identity(n=3, dtype=float)
-    rhs_out[t, i] = hold * (rotation[t, i] * smooth + share * off)
+        even = chance * chance / (chance * chance + wp.length_sq(off))
+    share = course + (1.0 - course) * even
+    weight = hold * (1.0 + firmer * even)
+    matrix_out[t, i] = matrix_out[t, i] + weight * wp.identity(n=3, dtype=float)
+    rhs_out[t, i] = weight * (rotation[t, i] * smooth + share * off)
 
 
 def fit_patches(
@@ -156,19 +161,19 @@ def local_places(
 
 
 def smooth_rhs(
-    begin: int, count: int, hold: float, own: float, course: float, chance: float, first: wp.array, filter: wp.array,
-    rotation: wp.array, carried: wp.array, local: wp.array, matrix_out: wp.array, rhs_out: wp.array,
+    begin: int, count: int, hold: float, own: float, course: float, chance: float, firmer: float, first: wp.array,
+    filter: wp.array, rotation: wp.array, carried: wp.array, local: wp.array, matrix_out: wp.array, rhs_out: wp.array,
 ) -> None:  # fmt: skip
     """What holds ``count`` vertices from ``begin`` at their smooth places: added to the matrix, written to the rhs.
 
     Args:
-        hold: weight h against one plane. own, course, chance: o, c and k.
+        hold: weight h against one plane. own, course, chance, firmer: o, c, k and f.
         first, filter: shape (T,) int32 and (T, W) float32: F of frame t weighs W frames from ``first[t]`` on.
         rotation, matrix_out: shape (T, V) mat33. carried, local, rhs_out: shape (T, V) vec3.
     """
     launch(
         _smooth_rhs,
         count,
-        [begin, hold, own, course, chance, first, filter, rotation, carried, local, matrix_out, rhs_out],
+        [begin, hold, own, course, chance, firmer, first, filter, rotation, carried, local, matrix_out, rhs_out],
         local.device,
     )

@@ -30,14 +30,17 @@ def places(x: np.ndarray, y: np.ndarray, w: np.ndarray, rotation: np.ndarray, tu
 
 
 def smooth_places(
-    carried: np.ndarray, local: np.ndarray, rotation: np.ndarray, f: np.ndarray, shares: tuple[float, float, float]
-) -> np.ndarray:
-    """e (T, V, 3), with the filter as a matrix (T, T)."""
-    even = np.einsum("tu,uva->tva", f, carried)
+    carried: np.ndarray,
+    local: np.ndarray,
+    rotation: np.ndarray,
+    f: np.ndarray,
+    shares: tuple[float, float, float, float],
+) -> tuple[np.ndarray, np.ndarray]:
+    """e (T, V, 3), and g over h (T, V, 1), with the filter as a matrix (T, T); shares o, c, k and f."""
     turned = np.einsum("tvab,tvb->tva", rotation, np.einsum("tu,uva->tva", f, local))
-    (own, course, chance), off = shares, even - carried
-    share = course + (1 - course) * chance**2 / (chance**2 + (off**2).sum(axis=-1, keepdims=True))
-    return carried + share * off + own * turned
+    (own, course, chance, firmer), off = shares, np.einsum("tu,uva->tva", f, carried) - carried
+    even = chance**2 / (chance**2 + (off**2).sum(axis=-1, keepdims=True))
+    return carried + (course + (1 - course) * even) * off + own * turned, 1 + firmer * even
 
 
 def towards_mean(y: np.ndarray, edges: np.ndarray, factor: float, still: np.ndarray) -> np.ndarray:

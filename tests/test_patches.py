@@ -19,7 +19,7 @@ from warpdef.kernels.graphs import mesh_graph
 from warpdef.kernels.patches import fit_patches, local_places, smooth_rhs
 
 FRAMES, VERTICES, PATCHES, PER_VERTEX = 5, 42, 4, 3
-SHARES = 0.6, 0.3, 0.4
+SHARES = 0.6, 0.3, 0.4, 2.5
 
 
 class PatchScene:
@@ -61,13 +61,13 @@ class PatchScene:
     def hold(self, carried, local, hold=0.7, shares=SHARES, start=0.0, cuts=(0,)) -> tuple[np.ndarray, np.ndarray]:
         """Matrix and right-hand side."""
         starts, rows = time_filter(np.arange(len(carried)))
-        on, shape, (own, course, chance) = self.device, carried.shape, shares
+        on, shape, (own, course, chance, firmer) = self.device, carried.shape, shares
         first, weights = put(starts, wp.int32, on), wp.array(rows.astype(np.float32), dtype=wp.float32, device=on)
         places = put(self.rotation[: len(carried)], wp.mat33, on), put(carried, wp.vec3, on), put(local, wp.vec3, on)
         matrix = put(np.full((*shape, 3), start), wp.mat33, on)
         rhs = put(np.full(shape, np.nan), wp.vec3, on)
         for begin, count in spans(cuts, shape[0] * shape[1]):
-            smooth_rhs(begin, count, hold, own, course, chance, first, weights, *places, matrix, rhs)
+            smooth_rhs(begin, count, hold, own, course, chance, firmer, first, weights, *places, matrix, rhs)
         return matrix.numpy(), rhs.numpy()
 
 
@@ -113,10 +113,10 @@ def test_what_holds_matches_the_twin_and_adds_to_the_matrix(scene: PatchScene, r
     carried, local = rng.normal(size=(2, *scene.x.shape))
     whole = scene.hold(carried, local, start=0.2)
     f = dense(*time_filter(np.arange(FRAMES)))
-    smooth = twin.smooth_places(carried, local, scene.rotation, f, SHARES)
+    smooth, firm = twin.smooth_places(carried, local, scene.rotation, f, SHARES)
     at = carried + np.einsum("tvab,tvb->tva", scene.rotation, local)
-    np.testing.assert_allclose(whole[1], 0.7 * (smooth - at), rtol=0, atol=2e-6)
-    np.testing.assert_allclose(whole[0], np.broadcast_to(0.2 + 0.7 * np.eye(3), whole[0].shape), rtol=1e-6)
+    np.testing.assert_allclose(whole[1], 0.7 * firm * (smooth - at), rtol=0, atol=5e-6)
+    np.testing.assert_allclose(whole[0], 0.2 + 0.7 * firm[..., None] * np.eye(3), rtol=1e-5)
     for found, expected in zip(scene.hold(carried, local, start=0.2, cuts=(0, 50, 51)), whole, strict=True):
         np.testing.assert_array_equal(found, expected)
 
@@ -126,18 +126,19 @@ def test_what_holds_is_minus_half_the_gradient(scene: PatchScene, rng: np.random
     carried, local = rng.normal(size=(2, *scene.x.shape))
     rhs = scene.hold(carried, local)[1]
     f, turned = dense(*time_filter(np.arange(FRAMES))), np.einsum("tvab,tvb->tva", scene.rotation, local)
-    off = (carried + turned - twin.smooth_places(carried, local, scene.rotation, f, SHARES)).reshape(-1, 3)
+    smooth, firm = twin.smooth_places(carried, local, scene.rotation, f, SHARES)
+    off, weight = (carried + turned - smooth).reshape(-1, 3), 0.7 * firm.ravel()
     near = off[:VERTICES]
 
     def energy(move: np.ndarray) -> float:
-        return float(0.7 * ((near + move) ** 2).sum())
+        return float((weight[:VERTICES, None] * (near + move) ** 2).sum())
 
     assert_gradients_close(rhs[0], -0.5 * finite_differences(energy, np.zeros_like(near)))
     on, count = scene.device, len(off)
     move = wp.zeros(count, dtype=wp.vec3, device=on, requires_grad=True)
     loss = wp.zeros(1, dtype=wp.float32, device=on, requires_grad=True)
     planes = [put(np.repeat(np.arange(count), 3), wp.int32, on), put(np.repeat(off, 3, axis=0), wp.vec3, on)]
-    planes += [put(np.tile(np.eye(3), (count, 1)), wp.vec3, on), put(np.full(3 * count, 0.7), wp.float32, on)]
+    planes += [put(np.tile(np.eye(3), (count, 1)), wp.vec3, on), put(np.repeat(weight, 3), wp.float32, on)]
     with wp.Tape() as tape:
         wp.launch(witness_refine.plane_pairs, 3 * count, inputs=[move, *planes, loss], device=on)
     tape.backward(loss)
@@ -150,10 +151,10 @@ def test_even_motion_is_left_alone_and_a_kick_of_the_whole_is_no_noise(scene: Pa
     scene.x = np.einsum("tab,vb->tva", turn, scene.y) + [[[0, 0, 9.0 * (t == 2)]] for t in range(FRAMES)]
     scene.rotation = np.repeat(turn[:, None], VERTICES, axis=1)
     *_, carried, local = scene.run()
-    assert np.abs(scene.hold(carried, local, shares=(1.0, 0.0, 0.0))[1]).max() < 1e-4
+    assert np.abs(scene.hold(carried, local, shares=(1.0, 0.0, 0.0, 0.0))[1]).max() < 1e-4
     scene.x[2, 7] += [0.0, 0.0, 0.5]
     *_, carried, local = scene.run()
-    rhs = scene.hold(carried, local, hold=1.0, shares=(1.0, 0.0, 0.0))[1]
+    rhs = scene.hold(carried, local, hold=1.0, shares=(1.0, 0.0, 0.0, 0.0))[1]
     assert rhs[2, 7, 2] < -0.1 and np.abs(rhs[2, 7]).max() == np.abs(rhs).max()
 
 
@@ -164,8 +165,9 @@ def test_a_course_off_by_chance_is_smoothed_and_a_kick_is_not(scene: PatchScene)
     scene.rotation = np.broadcast_to(np.eye(3), (FRAMES, 2, 3, 3))
     even = time_filter(np.arange(FRAMES))[1][2, 2]
     chance = 0.2 * (1 - even)
-    rhs = scene.hold(carried, np.zeros_like(carried), hold=1.0, shares=(1.0, 0.0, chance))[1]
-    np.testing.assert_allclose(rhs[2, :, 2] / (carried[2, :, 2] * (even - 1)), [0.5, 1 / 1.01], rtol=1e-4)
+    rhs = scene.hold(carried, np.zeros_like(carried), hold=1.0, shares=(1.0, 0.0, chance, 3.0))[1]
+    given_up = np.array([0.5, 1 / 1.01])
+    np.testing.assert_allclose(rhs[2, :, 2] / (carried[2, :, 2] * (even - 1)), given_up * (1 + 3 * given_up), rtol=1e-4)
 
 
 def test_fairing_matches_the_twin_and_leaves_what_is_still(device: str, rng: np.random.Generator) -> None:
