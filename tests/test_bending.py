@@ -261,3 +261,64 @@ def test_a_frame_that_matches_do_not_find_is_bent_from_its_neighbours_pose(monke
     placed = optimiser.objective.placed_vertices()[1]
     assert np.quantile(closest_on_surface(clouds[1], poses[0], faces)[0], 0.95) > 0.1
     assert np.quantile(closest_on_surface(clouds[1], placed, faces)[0], 0.95) < 0.02
+
+
+def open_refinement(eye: np.ndarray | None, team: Team) -> tuple[Refinement, Problem]:
+    """The upper half of a moving ellipsoid, seen from above or all around, in three frames."""
+    turning = synthetic.turning_ellipsoid(3, 3000, np.random.default_rng(0), subdivisions=3)
+    shown = [normals @ EYE > 0.1 for normals in turning.normals]
+    clouds, normals = ([a[s] for a, s in zip(all_, shown, strict=True)] for all_ in (turning.clouds, turning.normals))
+    upper = vertex_normals(turning.vertices[1], turning.faces) @ EYE > 0.1
+    faces = np.cumsum(upper)[turning.faces[upper[turning.faces].all(axis=1)]] - 1
+    used = np.unique(faces)
+    place = np.zeros(upper.sum(), dtype=np.int32)
+    place[used] = np.arange(len(used))
+    vertices = turning.vertices[1][upper][used]
+    config = replace(Config(), grid=replace(Config().grid, levels=3))
+    problem = Problem(clouds, normals, vertices, place[faces], 1, config, find_device("cpu"), eye=eye)
+    optimiser = Optimiser(problem, 1, team)
+    optimiser.finish()
+    return Refinement(optimiser.objective, team), problem
+
+
+def test_spikes_of_the_border_of_what_one_camera_saw_are_faired():
+    for eye, fair in ((CAMERA, True), (None, False)):
+        with closing(Team(1)) as team:
+            refinement, problem = open_refinement(eye, team)
+            shape, border = refinement.shape, problem.border
+            assert border is not None
+            on = np.flatnonzero(border[:, 0] >= 0)
+            before, after = border[on, 0], border[on, 1]
+
+            def spikes(y: np.ndarray, on=on, before=before, after=after) -> float:
+                return float(np.linalg.norm(y[on] - (y[before] + y[after]) / 2.0, axis=1).mean())
+
+            rest = shape.places.numpy().copy()
+            spiky = rest.copy()
+            spiky[on] += 0.05 * np.random.default_rng(1).normal(size=(len(on), 3))
+            # Frames say of the shape what it is: without fairing the solve leaves it as it is.
+            refinement.objective.vertices.assign(np.tile(spiky, (problem.frame_count, 1, 1)))
+            shape.places.assign(spiky)
+            refinement.rotation.assign(np.tile(np.eye(3), (problem.frame_count, problem.vertex_count, 1, 1)))
+            if refinement.unseen.trust is not None:
+                refinement.unseen.trust.fill_(1.0)
+            shape.ask(0, problem.vertex_count)
+            shape.solve()
+            found = shape.places.numpy()
+            assert (spikes(found) < 0.5 * spikes(spiky)) == fair
+            inner = np.setdiff1d(np.arange(len(rest)), on)
+            np.testing.assert_allclose(found[inner], rest[inner], atol=2e-3)
+
+
+def test_frames_are_asked_for_what_they_show():
+    """A frame far from its mesh shows nothing of it; the others show nearly all of it."""
+    with closing(Team(1)) as team:
+        refinement, problem = open_refinement(CAMERA, team)
+        trust, vertices = refinement.unseen.trust, refinement.objective.vertices.numpy().copy()
+        assert trust is not None
+        vertices[0] += 3.0
+        refinement.objective.vertices.assign(vertices)
+        refinement.start()
+        refinement.run_round()
+        shown = trust.numpy()
+        assert shown[0].max() < 1e-6 and np.median(shown[1]) > 0.7

@@ -82,15 +82,17 @@ def test_a_picture_is_contradicted_beside_its_points_and_before_them():
     x, y = np.meshgrid(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 21))
     eye = np.array([0.5, 0.5, 2.0])
     picture = Picture.of(np.column_stack([x.ravel(), y.ravel(), np.zeros(441)]), eye)
-    places = np.array([[0.5, 0.5, 0.0], [0.5, 0.5, -0.7], [0.5, 0.5, 0.6], [1.4, 0.5, -0.3], [1.4, 0.5, -2.0]])
+    places = np.array([[0.5, 0.5, 0.0], [0.5, 0.5, -0.7], [0.5, 0.5, 0.6], [1.4, 0.5, -0.3], [1.6, 0.5, 0.0]])
     which, allowed, way = picture.contradicts(places, 0.1)
-    np.testing.assert_array_equal(which, [2, 3])
-    # Beside the square, to its rim: at a depth of 2.3 that is 0.5 x 2.3 / 2 from the middle.
-    np.testing.assert_allclose(allowed, [[0.5, 0.5, 0.0], [1.075, 0.5, -0.3]], atol=1e-12)
-    np.testing.assert_allclose(way, [[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]], atol=1e-12)
+    np.testing.assert_array_equal(which, [2, 3, 4])
+    # Behind the square by half of the room; what is behind it already, to its rim: at a depth of 2.3 that is
+    # 0.5 x 2.3 / 2 from the middle.
+    expected = [[0.5, 0.5, -0.05], [1.075, 0.5, -0.3], [0.5 + 0.5 * 2.05 / 2.0, 0.5, -0.05]]
+    np.testing.assert_allclose(allowed, expected, atol=1e-12)
+    np.testing.assert_allclose(way[:2], [[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]], atol=1e-12)
     # Down a ray that is aslant.
     aside = picture.contradicts(np.array([[0.75, 0.5, 1.0]]), 0.1)[1]
-    np.testing.assert_allclose(aside, [[1.0, 0.5, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(aside, [[0.5 + 0.25 * 2.05, 0.5, -0.05]], atol=1e-12)
 
 
 def seen_from(eye: np.ndarray, rng: np.random.Generator, pixels: int = 70) -> np.ndarray:

@@ -57,6 +57,8 @@ TURN = 8.0
 """What opposite normals cost half of, in the square of that spacing."""
 FAULTLESS = 0.015
 """Fault up to which no other way is tried."""
+BETTER = 0.85
+"""Share of a fault below which the other way is taken: by the first what is hidden stays nearer to where it was."""
 ON = 4.0
 """Distance in (x, FACING s n), in point spacings, up to which a point and a vertex meet."""
 ELSEWHERE = 1.5
@@ -132,16 +134,19 @@ class Bending:
         return self.graph.place(self.rest, pose)
 
     def onto(self, cloud: SeenCloud, start: Pose, usual: float = 0.0) -> Pose:
-        """The pose that brings the mesh onto a cloud, looked for from another on two ways; that of the lesser fault.
+        """The pose that brings the mesh onto a cloud, looked for from another by nearest points or, if better, shares.
 
         One way is enough where it leaves no more than the ``usual`` fault, that of the frame before: what no way could
         mend there is the shape's.
         """
         near = self._by_nearest(cloud.thinned(COARSE), start, COARSE_SCHEDULE, self._coarse)
-        found = [self._by_nearest(cloud, near, SCHEDULE, self._chosen)]
-        if self.fault(cloud, found[0]) > max(FAULTLESS, usual):
-            found.append(self._by_nearest(cloud, self._by_shares(cloud.thinned(SHARED), start), SCHEDULE, self._chosen))
-        return min(found, key=lambda pose: self.fault(cloud, pose))
+        near = self._by_nearest(cloud, near, SCHEDULE, self._chosen)
+        left = self.fault(cloud, near)
+        if left <= max(FAULTLESS, usual):
+            return near
+        shared = self._by_shares(cloud.thinned(SHARED), start)
+        shared = self._by_nearest(cloud, shared, SCHEDULE, self._chosen)
+        return shared if self.fault(cloud, shared) < BETTER * left else near
 
     def fault(self, cloud: SeenCloud, pose: Pose) -> float:
         """Shares of points uncovered, of vertices on the place of others, of edges stretched, and half of the share of

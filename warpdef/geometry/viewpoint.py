@@ -136,21 +136,21 @@ class Picture:
         """Places (m, 3) that it would have shown and did not: beside all points or before them by more than ``room``.
 
         Returns:
-            Which they are (c,), the nearest places that it does not contradict, and the directions there, (c, 3) each.
+            Which they are (c,), places near them out of sight, behind the nearest point by half of the room, and the
+            directions there, (c, 3) each.
         """
         view, distance = _view(self.eye, self.centre)
         picture = self.across(self.eye, self.centre, places)
         beside, nearest = self.tree.query(picture)
         depth = distance - (places - self.centre) @ view
         before = self.depth[nearest] - depth
-        sideways = (self.tree.data[nearest] - picture) * (depth / distance)[:, None]
-        way = sideways @ np.asarray(_across(view)[0][:2])
-        back = (beside <= room) & (before > room)
-        ray = places[back] - self.eye
-        way[back] = ray * (before[back] / depth[back])[:, None]
-        which = np.flatnonzero((beside > room) | back)
-        way = way[which]
-        return which, places[which] + way, way / np.linalg.norm(way, axis=1, keepdims=True)
+        which = np.flatnonzero((beside > room) | (before > room))
+        # First across at its own depth, then along the ray there.
+        sideways = np.where(beside > room, 1.0, 0.0)[:, None] * (self.tree.data[nearest] - picture)
+        there = places + (sideways * (depth / distance)[:, None]) @ np.asarray(_across(view)[0][:2])
+        there += (there - self.eye) * (np.maximum(before + 0.5 * room, 0.0) / depth)[:, None]
+        way = (there - places)[which]
+        return which, there[which], way / np.linalg.norm(way, axis=1, keepdims=True)
 
 
 def _view(eye: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, float]:
