@@ -9,6 +9,7 @@ A room a file, in the order in which an iteration goes through them:
     cayley, motion, chains  rotations; clouds and vertices moved by the grids, and back; in all transitions at once
     cells, packets          points sorted into cells; sixteen queries searched at a time
     neighbours              exact nearest neighbours on those, for chamfer and for pairs
+    nearby                  the nearest fellows of a cloud's points, and the planes through them
     chamfer, isometry       the loss terms and their gradients
     confidence, schedule    how far a frame is trusted; what changes from one iteration to the next
     graphs                  which nodes smooth which

@@ -25,8 +25,8 @@ MAIN = "warpdef.__main__"
 
 FLOORS_INSIDE = (
     ("errors", "kernel_cache"),
-    ("config_values",),
-    ("cloud", "config", "device", "geometry", "texture", "transitions"),
+    ("config_values", "device"),
+    ("cloud", "config", "geometry", "texture", "transitions"),
     ("appearance", "presets", "sequence"),
     ("cleaning", "mesh"),
     ("motion", "progress", "quality", "rig", "template", "vertex_measures"),

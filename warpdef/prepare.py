@@ -113,7 +113,7 @@ def prepare(
     estimate = require_memory(sizes, vertex_count, config, target, safeguards.memory_limit)
 
     with clock.phase("clean"):
-        sequence = clean(sequence, config)
+        sequence = clean(sequence, config, target)
     if saved is not None:
         saved.require_input(sequence)
     return Prepared(sequence, template, config, target, saved, estimate, clock, landmarks)
@@ -132,10 +132,11 @@ def read_input(path: Path, config: Config, strict: bool = False) -> PointSequenc
     )
 
 
-def clean(sequence: PointSequence, config: Config) -> PointSequence:
+def clean(sequence: PointSequence, config: Config, device: wp.Device | None = None) -> PointSequence:
     """The points that the method uses: of the object, on its surface, in frames that belong together; then drawn from.
 
     Each step says in a note what it left out. What is far goes first, as all else takes its scale from the rest.
+    Neighbours are looked for on ``device``; None: on the CPU.
     """
     if config.crop:
         sequence = crop(sequence, config.crop)
@@ -144,7 +145,7 @@ def clean(sequence: PointSequence, config: Config) -> PointSequence:
     if config.cut_static:
         sequence = cut_static_planes(sequence)
     if config.drop_strays:
-        sequence = drop_strays(sequence)
+        sequence = drop_strays(sequence, device)
     if config.cut_static:
         sequence = tell_static_parts(sequence)
     if config.order == "auto":

@@ -9,16 +9,22 @@ all they have:
 2. Where the first test found strays, others float close above the surface: points whose height over the plane of their
    neighbours is several spacings and much more than the roughness there.
 
-A cloud in which the first test finds next to nothing keeps every point. NumPy and SciPy only.
+A cloud in which the first test finds next to nothing keeps every point.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from warpdef.cloud import SPACING_NEIGHBOURS
+from warpdef.geometry.nearby import Fellows
 from warpdef.geometry.triangles import component_labels
 from warpdef.sequence import MIN_POINTS, PointSequence, name_frames
+
+if TYPE_CHECKING:
+    import warp as wp
 
 # Longest link, in local spacings; how many times its neighbours' spacing that of a point counts at most, so that strays
 # form no bridges; and how many times over that is asked.
@@ -38,28 +44,27 @@ ROUNDS = 3  # strays spoil the planes of their neighbours: the worst go first
 LEAST_POINTS = 50  # clouds below that are left alone
 
 
-def inlier_mask(points: np.ndarray) -> np.ndarray:
+def inlier_mask(points: np.ndarray, device: wp.Device | None = None) -> np.ndarray:
     """Which points lie on a surface, shape (N,) bool; all of them in a clean cloud.
 
     Made for up to 30 % strays, uniform over a box around the body.
 
     Args:
-        points: shape (N, 3), any units.
+        points: shape (N, 3), any units. device: where neighbours are looked for; None: on the CPU.
     """
-    from scipy.spatial import cKDTree
-
     points = np.asarray(points, dtype=np.float64)
     every = np.ones(len(points), dtype=bool)
     if len(points) < LEAST_POINTS:
         return every
-    tree, most = cKDTree(points), max(LEAST_STRAYS * len(points), 1)
-    distance, index = tree.query(points, k=SPACING_NEIGHBOURS + 1)
+    most = max(LEAST_STRAYS * len(points), 1)
+    near = Fellows(points, SPACING_NEIGHBOURS + 1, device=device)
+    distance, index = near.distance, near.index
     # More links join clusters and part none: what half of them hold together, all of them do.
     labels = _clusters(distance[:, 1:], index[:, 1:], distance[:, SPACING_NEIGHBOURS], CAREFUL)
     if len(points) - np.bincount(labels).max() <= most:
         return every
-    distance, index = tree.query(points, k=GRAPH_NEIGHBOURS + 1)
-    distance, index = distance[:, 1:], index[:, 1:]
+    near = Fellows(points, GRAPH_NEIGHBOURS + 1, device=device)
+    distance, index = near.distance[:, 1:], near.index[:, 1:]
     spacing = distance[:, SPACING_NEIGHBOURS - 1]
     inlier = _hangs_together(points, distance, index, spacing, CAREFUL)
     if (~inlier).sum() <= most:
@@ -140,12 +145,12 @@ def _floats(points: np.ndarray) -> np.ndarray:
     return (height > HEIGHT * around) & (height > HEIGHT_OVER_ROUGHNESS * roughness)
 
 
-def drop_strays(sequence: PointSequence) -> PointSequence:
+def drop_strays(sequence: PointSequence, device: wp.Device | None = None) -> PointSequence:
     """The sequence without points that belong to no surface; a note says how many, and in which frames.
 
     Frames that would be left with fewer than ``MIN_POINTS`` points stay whole.
     """
-    masks = [inlier_mask(points) for points in sequence.points]
+    masks = [inlier_mask(points, device) for points in sequence.points]
     masks = [mask if mask.sum() >= MIN_POINTS else np.ones_like(mask) for mask in masks]
     found = [(number, mask) for number, mask in zip(sequence.numbers, masks, strict=True) if not mask.all()]
     if not found:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+import warp as wp
 
 from warpdef.geometry.coverage import AREA_NEIGHBOURS, area_of_discs, complete_frames
 from warpdef.geometry.edges import edge_lengths
+from warpdef.geometry.nearby import Fellows
 from warpdef.quality.shape import STRETCHED
 
 _LEAST = 1e-30  # of an edge's length: its logarithm is asked for
-
 _ASKED = 10_000  # points of a cloud that speak for all: every n-th on the way through space
 
 
@@ -19,12 +20,16 @@ class CloudMeasures:
     """The local shape of the clouds of T frames, and which of them show all of a surface.
 
     Args:
-        clouds: T arrays (N_t, 3) float64, along a curve that fills space (``morton``).
+        clouds: T arrays (N_t, 3), along a curve that fills space (``morton``).
         surface_area: of the template, in the square of their unit.
         share: of the fullest frame's area, from which a frame is complete.
+        device: where neighbours are looked for; None: on the CPU.
     """
 
-    def __init__(self, clouds: list[np.ndarray], surface_area: float, share: float) -> None:
+    def __init__(
+        self, clouds: list[np.ndarray], surface_area: float, share: float, device: wp.Device | None = None
+    ) -> None:
+        self._device = device
         self._clouds, self._surface_area, self._share = clouds, surface_area, share
         self._sizes = np.array([len(c) for c in clouds])
 
@@ -46,17 +51,11 @@ class CloudMeasures:
     @cached_property
     def _local_shape(self) -> np.ndarray:
         """Spacing, thickness and area of every frame, shape (3, T)."""
-        from scipy.spatial import cKDTree
-
         found = []
         for cloud in self._clouds:
-            asked = cloud[:: -(-len(cloud) // _ASKED)]
-            distance, index = cKDTree(cloud).query(asked, k=min(AREA_NEIGHBOURS, len(cloud)))
-            near = cloud[index]
-            near -= near.mean(axis=1, keepdims=True)
-            spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near))
-            thin, wide = np.sqrt(np.maximum(np.median(spread[:, :2], axis=0), 0.0))
-            area = area_of_discs(distance) * len(cloud) / len(asked)
+            near = Fellows(cloud, AREA_NEIGHBOURS, -(-len(cloud) // _ASKED), self._device)
+            distance, (thin, wide, _) = near.distance, np.sqrt(np.median(near.planes()[1], axis=0))
+            area = area_of_discs(distance) * len(cloud) / len(distance)
             found.append((distance[:, 1].mean(), thin / max(wide, 1e-12), area))
         self._clouds = []  # nothing else is asked of them
         return np.array(found).T

@@ -138,7 +138,7 @@ class Problem:
         """Of the clouds, against the template's area."""
         area = float(face_areas(self.template, self.faces).sum())
         least = np.inf if self.seen else self.config.keyframe.coverage_min
-        return CloudMeasures(self.by_frame(self.cloud.numpy()), area, least)
+        return CloudMeasures(np.split(self.cloud.numpy(), self.cloud_offsets[1:-1]), area, least, self.device)
 
     @cached_property
     def border(self) -> np.ndarray | None:

@@ -1,0 +1,106 @@
+"""The neighbours that a cloud's points have in it, and the planes through them, on a device (``kernels.nearby``).
+
+Places are single precision there, about the middle of most points, so that what lies far off costs itself its digits,
+not the rest. A grid of cells suits a cloud that fills it evenly. Where
+many points share a cell, as when two small bodies stand far apart, a k-d tree answers, on the host.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import warp as wp
+
+_CROWDED = 400  # points in the cell of a point, on average, from which a tree is faster
+_BOX = 0.02  # share of the points that may lie outside of the grid's box at each end of an axis
+
+
+class Fellows:
+    """The nearest fellows of a cloud's points, in order, the point itself first.
+
+    Args:
+        points: shape (N, 3), any units; float32 ones are taken as they are.
+        count: of neighbours, the point itself among them, at most 64; at most N are found.
+        every: only of each so manieth point.
+        device: where to search; None: on the CPU.
+
+    index: of the K neighbours of each of Q points, shape (Q, K).
+    distance: to each of them, shape (Q, K) float64, the points' unit.
+    """
+
+    def __init__(self, points: np.ndarray, count: int, every: int = 1, device: wp.Device | None = None) -> None:
+        from warpdef.device import find_device
+
+        self.points, self._every = points, every
+        self._device = device or find_device("cpu")
+        self._count = min(count, len(points))
+        self.index, distance = self._found()
+        self.distance = distance.astype(np.float64) * self._scale
+
+    def planes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Normals (Q, 3) of the planes through them, unit length, of either side; and the sums of squares along the
+        principal axes (Q, 3), ascending, the square of the points' unit."""
+        import warp as wp
+
+        from warpdef.kernels.nearby import local_planes
+
+        number = len(self.index)
+        index = wp.array(self.index.astype(np.int32), dtype=wp.int32, ndim=2, device=self._device)
+        normal, variance = (wp.zeros(number, dtype=wp.vec3, device=self._device) for _ in range(2))
+        local_planes(0, number, self._places, index, normal, variance)
+        return normal.numpy().astype(np.float64), variance.numpy().astype(np.float64) * self._scale**2
+
+    @cached_property
+    def _scale(self) -> float:
+        if self.points.dtype == np.float32:
+            return 1.0
+        return float(np.abs(self.points - self._middle).max()) or 1.0
+
+    @cached_property
+    def _middle(self) -> np.ndarray:
+        return np.median(self.points, axis=0)
+
+    @cached_property
+    def _places(self) -> wp.array:
+        """Of all points, on the device."""
+        import warp as wp
+
+        places = self.points
+        if places.dtype != np.float32:
+            places = ((places - self._middle) / self._scale).astype(np.float32)
+        return wp.array(np.ascontiguousarray(places), dtype=wp.vec3, device=self._device)
+
+    def _found(self) -> tuple[np.ndarray, np.ndarray]:
+        import warp as wp
+
+        from warpdef.kernels.cells import PointGrid
+        from warpdef.kernels.nearby import nearby
+
+        places = self._places.numpy()
+        box = np.quantile(places, [_BOX, 1.0 - _BOX], axis=0).astype(np.float64)
+        edge = 0.1 * (box[1] - box[0])
+        grid = PointGrid(self._places, [len(places)], np.stack([box[0] - edge, box[1] + edge]))
+        grid.build()
+        cells = np.diff(grid.start.numpy()[0]).astype(np.float64)
+        if (cells**2).sum() > _CROWDED * len(places):
+            return self._by_tree(places)
+        # Those of a cell one after the other: they look at the same cells.
+        order = grid.order.numpy()
+        order = order[order % self._every == 0]
+        asked = wp.array(places[order], dtype=wp.vec3, device=self._device)
+        shape, group = (len(asked), self._count), wp.zeros(len(asked), dtype=wp.int32, device=self._device)
+        found = [wp.zeros(shape, dtype=d, device=self._device) for d in (wp.int32, wp.float32)]
+        nearby(0, len(asked), grid, asked, group, found[0], found[1])
+        index, distance = np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.float32)
+        index[order // self._every], distance[order // self._every] = (a.numpy() for a in found)
+        return index, distance
+
+    def _by_tree(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        from scipy.spatial import cKDTree
+
+        distance, index = cKDTree(places).query(places[:: self._every], k=np.arange(1, self._count + 1))
+        return index, distance
