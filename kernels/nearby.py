@@ -15,7 +15,7 @@ import warp as wp
 
 from warpdef.kernels.cells import PointGrid, Targets
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
-from warpdef.kernels.sizes import require, require_span, sizes
+from warpdef.kernels.sizes import require, sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -168,23 +168,35 @@ def _local_planes(
     variance_out[i] = wp.vec3(low, float(wp.min(one, other)), float(wp.max(one, other)))
 
 
-def nearby(
-    begin: int, count: int, grid: PointGrid, queries: wp.array, query_group: wp.array, index_out: wp.array,
-    distance_out: wp.array,
-) -> None:  # fmt: skip
-    """The nearest targets of queries ``begin .. begin + count`` in order, counted over all groups.
+class NearbySearch:
+    """The nearest targets of every query, in order.
 
     Args:
-        grid: the targets, as last built. queries: shape (Q,) vec3. query_group: shape (Q,) int32, the group each asks.
-        index_out: shape (Q, K) int32, K at most ``NEARBY_MAX``; -1 behind the last where a group has fewer than K.
-        distance_out: shape (Q, K) float32, to each of them; infinite where there is none.
+        grid: the targets, read as last built. queries: shape (Q,) vec3. query_group: shape (Q,) int32, whom each asks.
+        wanted: K, from 1 to ``NEARBY_MAX``.
+
+    index: shape (Q, K) int32, counted over all groups; -1 behind the last where a group has fewer than K.
+    distance: shape (Q, K) float32, to each of them; infinite where there is none.
+
+    Raises:
+        ValueError: another K.
     """
-    require(index_out, "index_out", wp.int32, (len(queries), None))
-    require_span("queries", begin, count, len(queries))
-    if not 1 <= index_out.shape[1] <= NEARBY_MAX:
-        raise ValueError(f"index_out: expected 1 to {NEARBY_MAX} neighbours, got {index_out.shape[1]}")
-    inputs = [begin, index_out.shape[1], queries, query_group, grid.targets, index_out, distance_out]
-    launch(_nearby, count, inputs, queries.device)
+
+    def __init__(self, grid: PointGrid, queries: wp.array, query_group: wp.array, wanted: int) -> None:
+        require(queries, "queries", wp.vec3, (None,))
+        require(query_group, "query_group", wp.int32, (len(queries),))
+        if not 1 <= wanted <= NEARBY_MAX:
+            raise ValueError(f"wanted: expected 1 to {NEARBY_MAX} neighbours, got {wanted}")
+        self._grid, self._queries, self._group = grid, queries, query_group
+        shape = len(queries), wanted
+        self.index = wp.zeros(shape, dtype=wp.int32, device=queries.device)
+        self.distance = wp.zeros(shape, dtype=wp.float32, device=queries.device)
+
+    def run(self) -> None:
+        """Answer all queries."""
+        count, wanted = self.index.shape
+        asked = [0, wanted, self._queries, self._group, self._grid.targets, self.index, self.distance]
+        launch(_nearby, count, asked, self._queries.device)
 
 
 def local_planes(

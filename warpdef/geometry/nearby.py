@@ -77,26 +77,28 @@ class Fellows:
     def _found(self) -> tuple[np.ndarray, np.ndarray]:
         import warp as wp
 
+        from warpdef.device import on_host
         from warpdef.kernels.cells import PointGrid
-        from warpdef.kernels.nearby import nearby
+        from warpdef.kernels.nearby import NearbySearch
 
-        places = self._places.numpy()
+        places = on_host(self._places)
         box = np.quantile(places, [_BOX, 1.0 - _BOX], axis=0).astype(np.float64)
         edge = 0.1 * (box[1] - box[0])
         grid = PointGrid(self._places, [len(places)], np.stack([box[0] - edge, box[1] + edge]))
         grid.build()
-        cells = np.diff(grid.start.numpy()[0]).astype(np.float64)
+        cells = np.diff(on_host(grid.start)[0]).astype(np.float64)
         if (cells**2).sum() > _CROWDED * len(places):
             return self._by_tree(places)
         # Those of a cell one after the other: they look at the same cells.
-        order = grid.order.numpy()
+        order = on_host(grid.order)
         order = order[order % self._every == 0]
         asked = wp.array(places[order], dtype=wp.vec3, device=self._device)
-        shape, group = (len(asked), self._count), wp.zeros(len(asked), dtype=wp.int32, device=self._device)
-        found = [wp.zeros(shape, dtype=d, device=self._device) for d in (wp.int32, wp.float32)]
-        nearby(0, len(asked), grid, asked, group, found[0], found[1])
+        search = NearbySearch(grid, asked, wp.zeros(len(asked), dtype=wp.int32, device=self._device), self._count)
+        search.run()
+        shape = len(asked), self._count
         index, distance = np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.float32)
-        index[order // self._every], distance[order // self._every] = (a.numpy() for a in found)
+        index[order // self._every] = on_host(search.index)
+        distance[order // self._every] = on_host(search.distance)
         return index, distance
 
     def _by_tree(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
