@@ -12,6 +12,8 @@ from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.nearby import NEARBY_MAX, NearbySearch, local_planes
 from warpdef.kernels.ways import Way, going
 
+CPU = wp.get_device("cpu")
+
 
 def upload(points: np.ndarray, device: str) -> wp.array:
     return wp.array(np.ascontiguousarray(points, np.float32).reshape(-1, 3), dtype=wp.vec3, device=device)
@@ -123,10 +125,11 @@ def test_planes_of_what_has_none_are_numbers(points: np.ndarray, device: str) ->
 
 
 @pytest.mark.parametrize("every", [1, 7])
-def test_fellows_in_any_unit_and_far_away(every: int, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("on", ["a device", "the host"])
+def test_fellows_in_any_unit_and_far_away(every: int, on: str, rng: np.random.Generator, device: str) -> None:
     """Places are rounded to float32 about their middle: to 6e-8 of the size, in three coordinates of two points."""
     points = 1e3 * clouds(rng)["sphere"] + 1e7
-    found = Fellows(points, 9, every)
+    found = Fellows(points, 9, every, wp.get_device(device) if on == "a device" else None)
     apart = np.linalg.norm(points[::every, None] - points[found.index], axis=2)
     np.testing.assert_allclose(found.distance, apart, rtol=1e-6, atol=1e3 * 2 * np.sqrt(3) * 6e-8)
     assert (found.index[:, 0] == np.arange(len(points))[::every]).all()
@@ -150,11 +153,12 @@ def test_a_crowded_grid_gives_way_to_a_tree(rng: np.random.Generator, monkeypatc
         return tree(self, places)
 
     monkeypatch.setattr(Fellows, "_by_tree", noted)
-    by_tree = Fellows(points, 9)
+    by_tree = Fellows(points, 9, device=CPU)
     assert asked == [3000]
     monkeypatch.setattr(rooms, "_CROWDED", 1e9)
-    by_grid = Fellows(points, 9)
+    by_grid = Fellows(points, 9, device=CPU)
     assert asked == [3000]
-    np.testing.assert_allclose(by_grid.distance, by_tree.distance, rtol=1e-6, atol=1e-9)
-    Fellows(clouds(rng)["sphere"], 9)
+    # Of places rounded to float32 near 1, in three coordinates of two points.
+    np.testing.assert_allclose(by_grid.distance, by_tree.distance, rtol=1e-6, atol=4 * np.sqrt(3) * 6e-8)
+    Fellows(clouds(rng)["sphere"], 9, device=CPU)
     assert asked == [3000]

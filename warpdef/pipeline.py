@@ -112,7 +112,7 @@ def reconstruct(
         with closing(Team(team_size(target, threads))) as team, explained_shortage(estimate, target):
             with clock.phase("compile"):
                 clouds, mesh = in_cube(), chosen.mesh
-                normals = _surface_normals(clouds, sequence.normals, config, view)
+                normals = _surface_normals(clouds, sequence.normals, config, view, target)
                 given = [n is not None or view is not None for n in sequence.normals]
                 keyframe = sequence.numbers.index(chosen.keyframe)
                 steady = replace(config, optimiser=config.optimiser.for_length(len(clouds)))
@@ -211,7 +211,11 @@ def _with_meshes(
 
 
 def _surface_normals(
-    clouds: list[np.ndarray], given: Sequence[np.ndarray | None], config: Config, view: np.ndarray | None
+    clouds: list[np.ndarray],
+    given: Sequence[np.ndarray | None],
+    config: Config,
+    view: np.ndarray | None,
+    device: wp.Device,
 ) -> list[np.ndarray] | None:
     """Normals of all points: given ones, else of local planes, whose side is open but where all were seen from one
     direction; None where nothing asks for them."""
@@ -219,8 +223,10 @@ def _surface_normals(
         return None
     neighbours = config.template.neighbours
     if view is not None:
-        return [seen_normals(p, view, neighbours) if n is None else n for p, n in zip(clouds, given, strict=True)]
-    return [pca_normals(p, neighbours) if n is None else n for p, n in zip(clouds, given, strict=True)]
+        return [
+            seen_normals(p, view, neighbours, device) if n is None else n for p, n in zip(clouds, given, strict=True)
+        ]
+    return [pca_normals(p, neighbours, device) if n is None else n for p, n in zip(clouds, given, strict=True)]
 
 
 def _look(

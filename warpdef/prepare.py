@@ -136,7 +136,7 @@ def clean(sequence: PointSequence, config: Config, device: wp.Device | None = No
     """The points that the method uses: of the object, on its surface, in frames that belong together; then drawn from.
 
     Each step says in a note what it left out. What is far goes first, as all else takes its scale from the rest.
-    Neighbours are looked for on ``device``; None: on the CPU.
+    Neighbours are looked for on ``device``; None: on the host, without Warp.
     """
     if config.crop:
         sequence = crop(sequence, config.crop)

@@ -50,7 +50,7 @@ def inlier_mask(points: np.ndarray, device: wp.Device | None = None) -> np.ndarr
     Made for up to 30 % strays, uniform over a box around the body.
 
     Args:
-        points: shape (N, 3), any units. device: where neighbours are looked for; None: on the CPU.
+        points: shape (N, 3), any units. device: where neighbours are looked for; None: on the host, without Warp.
     """
     points = np.asarray(points, dtype=np.float64)
     every = np.ones(len(points), dtype=bool)

@@ -23,7 +23,7 @@ class CloudMeasures:
         clouds: T arrays (N_t, 3), along a curve that fills space (``morton``).
         surface_area: of the template, in the square of their unit.
         share: of the fullest frame's area, from which a frame is complete.
-        device: where neighbours are looked for; None: on the CPU.
+        device: where neighbours are looked for; None: on the host, without Warp.
     """
 
     def __init__(

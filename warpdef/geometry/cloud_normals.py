@@ -13,17 +13,22 @@ the side of all normals at once, where a walk from neighbour to neighbour turns 
    and the field's where it is not (noise).
 4. Where neighbours then still deny each other's side, as on a flat open sheet, walk from neighbour to neighbour.
 
-NumPy and SciPy only; double precision outside the grids; the same input gives the same bytes.
+NumPy and SciPy only, but for planes asked of a device; double precision outside the grids; the same input gives the
+same bytes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from warpdef.geometry.nearby import Fellows
 from warpdef.geometry.triangles import component_labels
+
+if TYPE_CHECKING:
+    import warp as wp
 
 CELL_SPACINGS = 1.0  # grid cell, in mean point spacings
 SMOOTH_CELLS = 0.85  # Gaussian on the grid, standard deviation in cells
@@ -47,16 +52,15 @@ SMALL_PATCH = 0.02  # share of the points up to which a doubted patch needs ...
 CLEAR_BREAK = -0.5  # ... a mean agreement with the normals around it below this, to be turned over
 
 
-def pca_normals(points: np.ndarray, neighbours: int = 16) -> np.ndarray:
+def pca_normals(points: np.ndarray, neighbours: int = 16, device: wp.Device | None = None) -> np.ndarray:
     """Unit normals of the planes through each point's neighbours, shape (N, 3) float64; their sign means nothing.
 
     Args:
         points: shape (N, 3), any units.
         neighbours: points a plane is fitted to, the point itself among them; at most N are used.
+        device: where they are looked for; None: on the host, without Warp.
     """
-    near = _Neighbourhood.of(points, neighbours)
-    normals, _ = _fit_planes(near.points, near.index, np.ones(near.index.shape))
-    return normals
+    return Fellows(points, max(neighbours, 4), device=device).planes()[0]
 
 
 def estimate_normals(points: np.ndarray, neighbours: int = 16) -> np.ndarray:

@@ -1,8 +1,9 @@
-"""The neighbours that a cloud's points have in it, and the planes through them, on a device (``kernels.nearby``).
+"""The neighbours that a cloud's points have in it, and the planes through them: on a device (``kernels.nearby``), or by
+SciPy and NumPy where Warp is not to be started.
 
-Places are single precision there, about the middle of most points, so that what lies far off costs itself its digits,
-not the rest. A grid of cells suits a cloud that fills it evenly. Where
-many points share a cell, as when two small bodies stand far apart, a k-d tree answers, on the host.
+Places on a device are single precision, about the middle of most points, so that what lies far off costs itself its
+digits, not the rest. A grid of cells suits a cloud that fills it evenly. Where many points share a cell, as when two
+small bodies stand far apart, a k-d tree answers, on the host.
 """
 
 from __future__ import annotations
@@ -24,26 +25,27 @@ class Fellows:
 
     Args:
         points: shape (N, 3), any units; float32 ones are taken as they are.
-        count: of neighbours, the point itself among them, at most 64; at most N are found.
+        count: of neighbours, the point itself among them; at most N are found. A tree answers beyond 64.
         every: only of each so manieth point.
-        device: where to search; None: on the CPU.
+        device: where to search; None: on the host, without Warp.
 
     index: of the K neighbours of each of Q points, shape (Q, K).
     distance: to each of them, shape (Q, K) float64, the points' unit.
     """
 
     def __init__(self, points: np.ndarray, count: int, every: int = 1, device: wp.Device | None = None) -> None:
-        from warpdef.device import find_device
-
-        self.points, self._every = points, every
-        self._device = device or find_device("cpu")
+        self._points, self._every, self._device = points, every, device
         self._count = min(count, len(points))
-        self.index, distance = self._found()
-        self.distance = distance.astype(np.float64) * self._scale
+        self.index, self.distance = self._by_tree(points) if device is None else self._on_device(device)
 
     def planes(self) -> tuple[np.ndarray, np.ndarray]:
         """Normals (Q, 3) of the planes through them, unit length, of either side; and the sums of squares along the
         principal axes (Q, 3), ascending, the square of the points' unit."""
+        if self._device is None:
+            near = self._points[self.index].astype(np.float64)
+            near -= near.mean(axis=1, keepdims=True)
+            variance, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))
+            return axes[:, :, 0], np.maximum(variance, 0.0)
         import warp as wp
 
         from warpdef.kernels.nearby import local_planes
@@ -56,30 +58,30 @@ class Fellows:
 
     @cached_property
     def _scale(self) -> float:
-        if self.points.dtype == np.float32:
+        if self._points.dtype == np.float32:
             return 1.0
-        return float(np.abs(self.points - self._middle).max()) or 1.0
+        return float(np.abs(self._points - self._middle).max()) or 1.0
 
     @cached_property
     def _middle(self) -> np.ndarray:
-        return np.median(self.points, axis=0)
+        return np.median(self._points, axis=0)
 
     @cached_property
     def _places(self) -> wp.array:
         """Of all points, on the device."""
         import warp as wp
 
-        places = self.points
+        places = self._points
         if places.dtype != np.float32:
             places = ((places - self._middle) / self._scale).astype(np.float32)
         return wp.array(np.ascontiguousarray(places), dtype=wp.vec3, device=self._device)
 
-    def _found(self) -> tuple[np.ndarray, np.ndarray]:
+    def _on_device(self, device: wp.Device) -> tuple[np.ndarray, np.ndarray]:
         import warp as wp
 
         from warpdef.device import on_host
         from warpdef.kernels.cells import PointGrid
-        from warpdef.kernels.nearby import NearbySearch
+        from warpdef.kernels.nearby import NEARBY_MAX, NearbySearch
 
         places = on_host(self._places)
         box = np.quantile(places, [_BOX, 1.0 - _BOX], axis=0).astype(np.float64)
@@ -87,22 +89,22 @@ class Fellows:
         grid = PointGrid(self._places, [len(places)], np.stack([box[0] - edge, box[1] + edge]))
         grid.build()
         cells = np.diff(on_host(grid.start)[0]).astype(np.float64)
-        if (cells**2).sum() > _CROWDED * len(places):
-            return self._by_tree(places)
+        if self._count > NEARBY_MAX or (cells**2).sum() > _CROWDED * len(places):
+            return self._by_tree(self._points)
         # Those of a cell one after the other: they look at the same cells.
         order = on_host(grid.order)
         order = order[order % self._every == 0]
-        asked = wp.array(places[order], dtype=wp.vec3, device=self._device)
-        search = NearbySearch(grid, asked, wp.zeros(len(asked), dtype=wp.int32, device=self._device), self._count)
+        asked = wp.array(places[order], dtype=wp.vec3, device=device)
+        search = NearbySearch(grid, asked, wp.zeros(len(asked), dtype=wp.int32, device=device), self._count)
         search.run()
         shape = len(asked), self._count
-        index, distance = np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.float32)
+        index, distance = np.empty(shape, dtype=np.int32), np.empty(shape)
         index[order // self._every] = on_host(search.index)
-        distance[order // self._every] = on_host(search.distance)
+        distance[order // self._every] = self._scale * on_host(search.distance).astype(np.float64)
         return index, distance
 
-    def _by_tree(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _by_tree(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         from scipy.spatial import cKDTree
 
-        distance, index = cKDTree(places).query(places[:: self._every], k=np.arange(1, self._count + 1))
+        distance, index = cKDTree(points).query(points[:: self._every], k=np.arange(1, self._count + 1))
         return index, distance

@@ -10,11 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdef.geometry.cloud_normals import pca_normals, turned_to
+
+if TYPE_CHECKING:
+    import warp as wp
 
 FRAMES = 5  # asked, spread over the sequence
 POINTS_ASKED = 2000  # points of each
@@ -59,9 +62,9 @@ def viewing_direction(clouds: Sequence[np.ndarray]) -> np.ndarray | None:
     return best if bulge > 0 else -best
 
 
-def seen_normals(points: np.ndarray, view: np.ndarray, neighbours: int) -> np.ndarray:
+def seen_normals(points: np.ndarray, view: np.ndarray, neighbours: int, device: wp.Device | None = None) -> np.ndarray:
     """Unit normals of local planes, shape (N, 3), on the side of ``view``, shape (3,)."""
-    return turned_to(pca_normals(points, neighbours), np.broadcast_to(view, points.shape))
+    return turned_to(pca_normals(points, neighbours, device), np.broadcast_to(view, points.shape))
 
 
 def camera_place(clouds: Sequence[np.ndarray], direction: np.ndarray) -> np.ndarray:
