@@ -28,6 +28,8 @@ REACH, AGREEMENT = 3.0, 0.6
 """Largest distance of a match, in point spacings of the frame, and least cosine between its normals."""
 LOOSER = ((5.0, 0.6), (3.0, 0.3))
 """The same for further tries where the first leaves something lost: joints that turn by a right angle in a frame."""
+MATCHES = 3000
+"""Matches of a step, spread evenly over the vertices' order: more than a few a node say nothing new."""
 RIGIDITY = 0.03
 """Weight of rigidity between nodes, mean over links, against the mean squared distance along normals."""
 TANGENTIAL = 0.02
@@ -206,7 +208,8 @@ def _bend(graph: DeformationGraph, rest: np.ndarray, matches: Matches, rule: tup
         trusted, goal, normal = matches.find(placed, rule)
         if not len(trusted):
             break
-        pose = graph.step(rest, pose, trusted, goal, normal, RIGIDITY, TANGENTIAL)
+        some = np.unique(np.linspace(0, len(trusted) - 1, MATCHES).astype(int))
+        pose = graph.step(rest, pose, trusted[some], goal[some], normal[some], RIGIDITY, TANGENTIAL)
         before, placed = placed, graph.place(rest, pose)
         if np.abs(placed - before).max() < _STILL * REACH * matches.spacing:
             break
