@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from synthetic import sample_surface
 
+from warpdef.geometry import cloud_normals
 from warpdef.geometry.cloud_normals import (
     _confirmed,
     _CurlFreeField,
@@ -145,6 +146,29 @@ def test_single_normals_turned_over_are_found_where_the_rest_is_confirmed(rng):
     repaired, flipped = repair_normals(points, given)
     assert flipped == 3
     np.testing.assert_array_equal(repaired, truth)
+
+
+def test_some_points_of_a_large_cloud_tell_the_sides_of_all(rng, monkeypatch):
+    asked = []
+    of_few = _Neighbourhood.of
+
+    def noted(points: np.ndarray, neighbours: int) -> _Neighbourhood:
+        asked.append(len(points))
+        return of_few(points, neighbours)
+
+    monkeypatch.setattr(_Neighbourhood, "of", noted)
+    monkeypatch.setattr(cloud_normals, "SIDED", 4000)
+    points, truth = clamp(rng, 12_000)
+    assert wrong_share(estimate_normals(points), truth) < 0.01
+    assert asked == [4000, 12_000]
+    given = truth.copy()
+    single = rng.random(len(truth)) < 0.01
+    given[single] *= -1.0
+    fixed, count = repair_normals(points, given)
+    assert asked[2:] == [4000, 12_000]
+    assert 0.95 * single.sum() <= count <= single.sum()
+    assert wrong_share(fixed, truth) < 0.1 * single.mean()
+    assert repair_normals(points, truth)[1] == 0
 
 
 def test_indicator_and_its_transpose_agree(rng):

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from warpdef.geometry.nearby import Fellows
+from warpdef.geometry.sampling import spread_evenly
 from warpdef.geometry.triangles import component_labels
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ HALF_INSIDE = 0.25  # how far from 0 and 1 an indicator is neither
 UNTRUE = 0.005  # share of places that are neither, up to which given normals are confirmed: right ones of whole bodies
 # have 0 to 0.01, and a patch of 0.6 % turned over adds more than this
 CONFIRMED_ITERATIONS = 2  # then find what is smaller
+SIDED = 20_000
+"""Points that tell the sides of a cloud's normals: a body's front and back are further apart than they are."""
 CLEARLY_OPPOSED = -0.3  # cosine to the estimate below which a given normal is doubted
 SMALL_PATCH = 0.02  # share of the points up to which a doubted patch needs ...
 CLEAR_BREAK = -0.5  # ... a mean agreement with the normals around it below this, to be turned over
@@ -67,17 +70,29 @@ def estimate_normals(points: np.ndarray, neighbours: int = 16) -> np.ndarray:
     """Outward unit normals of a cloud that samples a closed surface, shape (N, 3) float64.
 
     Where the body is thinner, or a gap narrower, than about one point spacing, no method can tell the sides apart.
-    On an open surface one side is chosen, the same all over.
+    On an open surface one side is chosen, the same all over. Of more than ``SIDED`` points so many, evenly spread, find
+    the sides, and each point has that of the nearest of them.
 
     Args:
         points: shape (N, 3), any units.
         neighbours: points a local plane is fitted to; at most N are used.
     """
+    if len(points) > SIDED:
+        few = spread_evenly(points, SIDED)
+        sides = _of_nearest(points, few, estimate_normals(points[few], neighbours))
+        return _detail(_Neighbourhood.of(points, neighbours), sides)
     near = _Neighbourhood.of(points, neighbours)
     clarity = _fit_planes(near.points, near.index, np.ones(near.index.shape))[1]
     clear = float(np.median(clarity)) > CLEAR_PLANES
     field = _CurlFreeField(near.points, CELL_SPACINGS * near.spacing)
     return _estimated(near, field, _CurlFreeField(near.points, START_SPACINGS * near.spacing) if clear else field)
+
+
+def _of_nearest(points: np.ndarray, few: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """For each point (N, 3) the normal of the nearest of those whose indices ``few`` holds, (N, 3)."""
+    from scipy.spatial import cKDTree
+
+    return normals[cKDTree(points[few]).query(points)[1]]
 
 
 def _estimated(near: _Neighbourhood, field: _CurlFreeField, at_first: _CurlFreeField) -> np.ndarray:
@@ -171,7 +186,8 @@ def repair_normals(points: np.ndarray, normals: np.ndarray, neighbours: int = 16
     Where the indicator of those given confirms them, only small patches are looked at, and the estimate of their side
     begins with them. Else all are turned if most oppose ``estimate_normals``. Then every connected patch that still
     opposes it is turned if it also opposes the normals around it: a patch that fits its surroundings is a place where
-    the estimate is the one that errs. As it errs on small patches only (thin limbs), these need the clearer break.
+    the estimate is the one that errs. As it errs on small patches only (thin limbs), these need the clearer break. Of
+    more than ``SIDED`` points so many make the estimate, as in ``estimate_normals``.
 
     Args:
         points: shape (N, 3), any units.
@@ -182,17 +198,22 @@ def repair_normals(points: np.ndarray, normals: np.ndarray, neighbours: int = 16
         normals, shape (N, 3) float64, and how many of them were turned over.
     """
     given = np.array(normals, dtype=np.float64)
-    near = _Neighbourhood.of(points, neighbours)
+    few = spread_evenly(points, SIDED)
+    near = _Neighbourhood.of(points[few], neighbours)
     field = _CurlFreeField(near.points, CELL_SPACINGS * near.spacing)
-    if _confirmed(near, field, given):
-        estimate = _sharpened(near, field, given, CONFIRMED_ITERATIONS)
+    if _confirmed(near, field, given[few]):
+        estimate = _sharpened(near, field, given[few], CONFIRMED_ITERATIONS)
     else:
         estimate = _estimated(near, field, field)
+    if len(few) < len(points):
+        estimate = _of_nearest(points, few, estimate)
     sign = np.ones(len(given))
     if ((given * estimate).sum(axis=1) < 0).mean() > 0.5:
         sign[:] = -1.0
     doubted = sign * (given * estimate).sum(axis=1) < CLEARLY_OPPOSED
     if doubted.any():
+        if len(few) < len(points):
+            near = _Neighbourhood.of(points, neighbours)
         i, j = near.edges()
         agreement, flatness = _agreement(near.points, sign[:, None] * given, i, j)
         inner = doubted[i] & doubted[j] & (agreement > 0)
