@@ -75,6 +75,17 @@ def assert_same(sequence: PointSequence, clouds, normals) -> None:
             np.testing.assert_allclose(present(sequence.normals[frame]), normals[frame], rtol=0, atol=1e-15)
 
 
+def test_uneven_numbers_are_the_times_of_their_frames(tmp_path, clouds):
+    for number, cloud in zip((5, 6, 7, 107, 108), [*clouds, *clouds], strict=False):
+        write_frame(tmp_path / f"scan{number}.xyz", cloud, None)
+    assert read_clouds(tmp_path).times == (0.0, 1.0, 2.0, 102.0, 103.0)
+    some = read_clouds(tmp_path, slice(4, 0, -2))
+    assert some.times == (0.0, 101.0) and read_clouds(tmp_path).select(slice(4, 0, -2)).times == some.times
+    (tmp_path / "scan5.xyz").unlink()
+    (tmp_path / "scan7.xyz").unlink()
+    assert read_clouds(tmp_path).times == (0.0, 101.0, 102.0)
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".xyz", ".npy"])
 @pytest.mark.parametrize("with_normals", [False, True])
 def test_folder_of_each_suffix(tmp_path, clouds, normals, suffix, with_normals):

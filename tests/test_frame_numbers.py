@@ -63,8 +63,11 @@ def test_names_sort_as_time(names):
 
 
 def test_uneven_numbers_are_told():
-    (note,) = read_names(["f0", "f1", "f2", "f500", "f501", "f502"]).notes
-    assert note.startswith("the numbers in the file names are uneven, from 2 to 500 at once")
+    numbering = read_names(["f10", "f12", "f14", "f500", "f503", "f504"])
+    (note,) = numbering.notes
+    assert note.startswith("the numbers in the file names are uneven, from 14 to 500 at once")
+    assert numbering.times == [0.0, 1.0, 2.0, 245.0, 246.5, 247.0] and not numbering.missing
+    assert read_names(["f10", "f12", "f14", "f18"]).times is None
 
 
 def test_times_past_midnight_are_told():

@@ -202,6 +202,18 @@ def test_gaps_are_filled(rng):
     assert fill_gaps(fitted, (0, 1, 2), 3) is fitted
 
 
+def test_gaps_are_filled_at_their_times(rng) -> None:
+    fitted = rng.normal(size=(3, 5, 3))
+    filled = fill_gaps(fitted, (0, 1, 3), 4, times=(0.0, 1.0, 10.0, 11.0))
+    np.testing.assert_allclose(filled[2], 0.1 * fitted[1] + 0.9 * fitted[2], rtol=0, atol=1e-12)
+    sphere, faces = icosphere(1)
+    way = np.array([1.0, 0.0, 0.0])
+    filled = fill_gaps(
+        np.stack([sphere + t * way for t in (0.0, 1.0, 11.0)]), (0, 1, 3), 4, faces, (0.0, 1.0, 10.0, 11.0)
+    )
+    np.testing.assert_allclose(filled[2], sphere + 10.0 * way, rtol=0, atol=1e-9)
+
+
 def test_a_mesh_turns_through_its_gaps():
     """Halfway of a turn by 80 degrees the sphere keeps its size; straight ways would shrink it to 0.77."""
     sphere, faces = icosphere(2)

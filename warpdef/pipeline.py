@@ -119,7 +119,8 @@ def reconstruct(
                 if sequence.order:  # no film
                     steady = replace(steady, refine=replace(steady.refine, time=0.0))
                 ends = mesh.vertices, mesh.faces, keyframe
-                times = None if sequence.order else sequence.numbers
+                times = sequence.times or range(sequence.frame_count)
+                times = None if sequence.order else [times[number] for number in sequence.numbers]
                 problem = Problem(clouds, normals, *ends, steady, target, given, eye, times)
                 optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
                 del clouds, normals
@@ -148,7 +149,7 @@ def reconstruct(
                 vertices = optimiser.objective.placed_vertices()
                 led = None if landmarks is None else landmarks.as_dict(vertices, into.scale)
                 run.warnings += [] if landmarks is None else landmarks.warnings(vertices)
-                vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces)
+                vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, mesh.faces, sequence.times)
                 vertices = float32_where_exact(into.from_cube(vertices))
 
                 levels = (config.grid.coarsest, config.grid.levels)

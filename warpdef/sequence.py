@@ -41,6 +41,7 @@ class PointSequence:
     gaps:     the input's other frames; ``len(sequence)`` is T, ``frame_count`` counts them all
     notes:    further warnings about the input, one line each
     columns:  what was taken of the columns in the files and what was passed over; empty where they have none
+    times:    of the input's frames, ascending, in usual steps, where these are uneven; else empty: one apart
     order:    the input's frame number of each cloud where they are not ascending, T integers; else empty
 
     Build one with ``PointSequence.from_arrays``, which checks every frame.
@@ -57,6 +58,7 @@ class PointSequence:
     columns: str = ""
     colors: tuple[np.ndarray | None, ...] = ()
     order: tuple[int, ...] = ()
+    times: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self.points)
@@ -261,7 +263,8 @@ class PointSequence:
             )
         gaps = {gap.number: gap for gap in self.gaps}
         kept = tuple(replace(gaps[old], number=new) for new, old in enumerate(order) if old in gaps)
-        return replace(self._chosen(chosen), gaps=kept, order=())
+        times = tuple(abs(self.times[old] - self.times[order[0]]) for old in order) if self.times else ()
+        return replace(self._chosen(chosen), gaps=kept, order=(), times=times)
 
     def without(self, reasons: Mapping[int, str], judged: bool = False) -> PointSequence:
         """The sequence with further gaps: why by frame number, one sentence each.

@@ -55,9 +55,9 @@ def read_clouds(
     if points and points < MIN_POINTS:
         raise InputError(f"--points: expected at least {MIN_POINTS}, got {points}")
     suffix = path.suffix.lower()
-    roles, told = parse_columns(columns), ReadingNotes()
+    roles, told, times = parse_columns(columns), ReadingNotes(), ()
     if path.is_dir():
-        named, notes = _folder_frames(path, frames, roles, told)
+        named, notes, times = _folder_frames(path, frames, roles, told)
     elif suffix in CONTAINERS:
         named, notes = CONTAINERS[suffix](path, frames)
     elif suffix in CLOUD_SUFFIXES:
@@ -68,7 +68,7 @@ def read_clouds(
             f"({' '.join(CLOUD_SUFFIXES)})"
         )
     sequence = PointSequence.from_frames(named, strict=strict, at_most=points, seed=seed, notes=notes)
-    return replace(sequence, columns=told.line, notes=(*sequence.notes, *told.notes))
+    return replace(sequence, columns=told.line, notes=(*sequence.notes, *told.notes), times=times)
 
 
 @dataclass
@@ -101,10 +101,12 @@ class ReadingNotes:
 
 def _folder_frames(
     path: Path, frames: slice | None, columns: Sequence[str], told: ReadingNotes
-) -> tuple[list[NamedFrame], list[str]]:
+) -> tuple[list[NamedFrame], list[str], tuple[float, ...]]:
     found = find_frames(path, FRAME_SUFFIXES)
     slots = select_frames(found.slots, frames, MIN_FRAMES, path)
-    return [(slot.name, partial(_read_slot, slot, columns, told)) for slot in slots], found.notes
+    named = [(slot.name, partial(_read_slot, slot, columns, told)) for slot in slots]
+    times = [abs(slot.time - (slots[0].time or 0.0)) for slot in slots if slot.time is not None]
+    return named, found.notes, tuple(times)
 
 
 def _read_slot(slot: FrameSlot, columns: Sequence[str], told: ReadingNotes) -> FramePoints:

@@ -19,11 +19,12 @@ _Item = TypeVar("_Item")
 
 @dataclass(frozen=True)
 class FrameSlot:
-    """A place in time: the file that fills it, or why there is none."""
+    """A place in time: the file that fills it, or why there is none. time: where times are uneven; else None."""
 
     name: str
     path: Path | None
     why: str = ""
+    time: float | None = None
 
     def file(self) -> Path:
         """The file.
@@ -68,7 +69,8 @@ class FrameFiles:
             for behind in range(self.numbering.missing.get(place, 0)):
                 slots.append(self._missing(place, behind))
             nested = file.parent != self.files[0].parent or len({p.name for p in self.files}) < len(self.files)
-            slots.append(FrameSlot(f"{file.parent.name}/{file.name}" if nested else file.name, file))
+            time = None if self.numbering.times is None else self.numbering.times[place]
+            slots.append(FrameSlot(f"{file.parent.name}/{file.name}" if nested else file.name, file, time=time))
         return slots
 
     def _missing(self, place: int, behind: int) -> FrameSlot:

@@ -38,12 +38,14 @@ class Numbering:
     missing: how many frames are missing before a place of that order
     numbers: the number of each name, in that order, where one number counts the frames; else None
     notes:   what was concluded that could be wrong, a line each
+    times:   of the names, in that order, in usual steps from the first, where steps are uneven; else None
     """
 
     order: list[int]
     missing: dict[int, int] = field(default_factory=dict)
     numbers: list[int] | None = None
     notes: tuple[str, ...] = ()
+    times: list[float] | None = None
 
 
 def natural_key(name: str) -> tuple:
@@ -75,8 +77,8 @@ def read_names(stems: Sequence[str], where: str = "") -> Numbering:
     if time is not None:
         rest = [tuple(table[i, leading:]) for i in range(len(stems))]
         order = sorted(range(len(stems)), key=lambda i: (time[i], rest[i], natural_key(stems[i])))
-        missing, uneven = _missing([time[i] for i in order])
-        return Numbering(order, missing, None, notes + uneven)
+        missing, uneven, times = _missing([time[i] for i in order])
+        return Numbering(order, missing, None, notes + uneven, times)
     moving = [c for c in range(table.shape[1]) if len(set(table[:, c])) > 1]
     if not moving:
         if len(stems) > 1:
@@ -84,8 +86,8 @@ def read_names(stems: Sequence[str], where: str = "") -> Numbering:
         return Numbering(natural)
     if moving[-1] == table.shape[1] - 1 and moving[0] >= table.shape[1] - 2 and _are_decimals(stems, rows):
         order = sorted(range(len(stems)), key=lambda i: (int(rows[i][-2]), float(f"0.{rows[i][-1]}")))
-        missing, uneven = _missing([float(f"{rows[i][-2]}.{rows[i][-1]}") for i in order])
-        return Numbering(order, missing, None, uneven)
+        missing, uneven, times = _missing([float(f"{rows[i][-2]}.{rows[i][-1]}") for i in order])
+        return Numbering(order, missing, None, uneven, times)
     if len(moving) == 1:
         values = table[:, moving[0]]
         order = sorted(range(len(stems)), key=lambda i: values[i])
@@ -94,8 +96,8 @@ def read_names(stems: Sequence[str], where: str = "") -> Numbering:
         if twice is not None:
             pair = f"'{stems[order[twice - 1]]}' and '{stems[order[twice]]}'"
             raise InputError(f"{where}: two files have the number {numbers[twice]}: {pair}; keep one of them")
-        missing, uneven = _missing(numbers)
-        return Numbering(order, missing, numbers, uneven)
+        missing, uneven, times = _missing(numbers)
+        return Numbering(order, missing, numbers, uneven, times)
     _refuse_two_series(stems, table, moving, where)
     return Numbering(natural)
 
@@ -148,22 +150,21 @@ def _are_decimals(stems: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
     return uneven and (any(row[-1].startswith("0") for row in rows) or all(len(row[-2]) >= 9 for row in rows))
 
 
-def _missing(values: Sequence[float]) -> tuple[dict[int, int], tuple[str, ...]]:
-    """Frames missing before each place of ascending values, and a note where their steps are not regular."""
+def _missing(values: Sequence[float]) -> tuple[dict[int, int], tuple[str, ...], list[float] | None]:
+    """Frames missing before each place of ascending values; a note where their steps are not regular, and the times."""
     steps = np.diff(np.asarray(values, dtype=np.float64))
     if len(steps) < 2 or not (steps > 0).all():
-        return {}, ()
+        return {}, (), None
     usual = float(np.sort(steps)[(len(steps) - 1) // 2])
     times = steps / usual
     missing = {i + 1: int(np.rint(t)) - 1 for i, t in enumerate(times) if np.rint(t) > 1}
     regular = (np.abs(times - np.rint(times)) <= _UNEVEN).all() and (np.rint(times) == 1).mean() >= 0.5
     if regular and sum(missing.values()) <= _MISSING_MOST * len(values):
-        return missing, ()
+        return missing, (), None
     widest = int(steps.argmax())
     jump = f"from {values[widest]:.12g} to {values[widest + 1]:.12g} at once"
-    return {}, (
-        f"the numbers in the file names are uneven, {jump}: frames are taken one after the other, without gaps",
-    )
+    note = f"the numbers in the file names are uneven, {jump}: frames are taken at these times, without others between"
+    return {}, (note,), np.concatenate([[0.0], np.cumsum(times)]).tolist()
 
 
 def _times(

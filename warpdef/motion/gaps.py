@@ -18,7 +18,11 @@ _NO_LENGTH = 1e-30  # of a sum of lengths
 
 
 def fill_gaps(
-    vertices: np.ndarray, numbers: Sequence[int], frame_count: int, faces: np.ndarray | None = None
+    vertices: np.ndarray,
+    numbers: Sequence[int],
+    frame_count: int,
+    faces: np.ndarray | None = None,
+    times: Sequence[float] = (),
 ) -> np.ndarray:
     """The moving mesh with a mesh for every frame of the input.
 
@@ -30,6 +34,7 @@ def fill_gaps(
         numbers: their frame numbers, shape (T,), in any order.
         frame_count: frames of the input.
         faces: triangles, shape (F, 3); None: points that belong to no mesh.
+        times: of all frames, ascending, (frame_count,); if empty, they are one apart.
 
     Returns:
         Shape (frame_count, V, 3); the fitted frames unchanged to the bit.
@@ -40,16 +45,18 @@ def fill_gaps(
         vertices, fitted = vertices[order], fitted[order]
     if len(fitted) == frame_count:
         return vertices
+    clock = np.asarray(times) if len(times) else np.arange(frame_count)
     filled = np.empty((frame_count, *vertices.shape[1:]), dtype=vertices.dtype)
     filled[fitted] = vertices
     filled[: fitted[0]], filled[fitted[-1] + 1 :] = vertices[0], vertices[-1]
     for t in np.flatnonzero(np.diff(fitted) > 1):
         missing = np.arange(int(fitted[t]) + 1, int(fitted[t + 1]))
         if faces is None:
-            share = ((missing - fitted[t]) / (fitted[t + 1] - fitted[t]))[:, None, None]
+            begin, end = clock[fitted[t]], clock[fitted[t + 1]]
+            share = ((clock[missing] - begin) / (end - begin))[:, None, None]
             filled[missing] = (1.0 - share) * vertices[t] + share * vertices[t + 1]
         else:
-            filled[missing] = _mesh_between(vertices, fitted, int(t), missing, faces)
+            filled[missing] = _mesh_between(vertices, clock[fitted], int(t), clock[missing], faces)
     return filled
 
 
