@@ -24,7 +24,7 @@ The vertex stage, which begins where the grids end:
     pairs                   vertices and cloud points paired, as all of its terms see them
     planes, borders         residuals to the clouds, and across the border of an open mesh
     unseen, landmarks       what holds a vertex where a frame has no points; where it is known to be
-    rigidity                how edges turn with their vertices; rotation_lanes: sixteen at a time
+    rigidity                how edges turn with their vertices; on the CPU rotation_lanes, edge_lanes
     block_cg, block_serial  the solve for all moves at once; on one CPU core
     patches, fairing        places that are smooth in time, in patches of the surface; a shape without noise
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from warpdef.kernels.edge_lanes import rest_rhs_in_lanes, rigid_rhs_in_lanes
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.rotation_lanes import LANES_OF_ROTATIONS, following
 from warpdef.kernels.sizes import require_span, sizes
@@ -271,7 +272,8 @@ def rigid_rhs(
     vertices: wp.array, rhs_out: wp.array,
 ) -> None:  # fmt: skip
     """Add ``weight`` times minus half the gradient to the vertices; shapes as in ``fit_rotations``."""
-    launch(_rigid_rhs, count, [begin, weight, row, column, rest, rotation, vertices, rhs_out], vertices.device)
+    kernel = rigid_rhs_in_lanes if way_of(vertices.device) is Way.SPANS else _rigid_rhs
+    launch(kernel, count, [begin, weight, row, column, rest, rotation, vertices, rhs_out], vertices.device)
 
 
 def rest_rhs(
@@ -283,7 +285,8 @@ def rest_rhs(
     Args:
         frames: those that are asked, shape (A,) int32, at least one. All else as in ``fit_rotations``.
     """
-    launch(_rest_rhs, count, [begin, frames, row, column, rotation, vertices, rhs_out], vertices.device)
+    kernel = rest_rhs_in_lanes if way_of(vertices.device) is Way.SPANS else _rest_rhs
+    launch(kernel, count, [begin, frames, row, column, rotation, vertices, rhs_out], vertices.device)
 
 
 def trusted_rest_rhs(

@@ -122,6 +122,8 @@ BREAKS = [
           "directions turned by the plain residual"),
     Break("warpdef/fit/terms.py", "<= bound * self._floor", "<= 2.0 * bound * self._floor", ("guide_arrives",),
           "a guide stops at twice what is left"),
+    Break("kernels/edge_lanes.py", "total *= 0.5f / ", "total *= 1.0f / ", ("rigidity",),
+          "the shape's half, on the CPU"),
     Break("kernels/rotation_lanes.py", "const whole still = good & (4.0f * size < STILL);", "const whole still = good;",
           ("rigidity",), "sixteen rotations, after a single step"),
     Break("kernels/block_serial.py", "w + 3 * i, load(q + 3 * i)", "w + 3 * i, load(p + 3 * i)", ("block_cg",),
