@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from warpdef.geometry import nearby as rooms
-from warpdef.geometry.nearby import Fellows
+from warpdef.geometry.nearby import Fellows, Nearest
 from warpdef.kernels.cells import PointGrid
 from warpdef.kernels.nearby import NEARBY_MAX, NearbySearch, local_planes
 from warpdef.kernels.ways import Way, going
@@ -162,3 +162,16 @@ def test_a_crowded_grid_gives_way_to_a_tree(rng: np.random.Generator, monkeypatc
     np.testing.assert_allclose(by_grid.distance, by_tree.distance, rtol=1e-6, atol=4 * np.sqrt(3) * 6e-8)
     Fellows(clouds(rng)["sphere"], 9, device=CPU)
     assert asked == [3000]
+
+
+def test_the_nearest_on_a_device_and_on_the_host(device: str, rng: np.random.Generator) -> None:
+    """Places are rounded to 6e-8 of their size, each of three coordinates of both: so much farther one may be."""
+    for targets in clouds(rng).values():
+        places = np.concatenate([targets + 0.01 * rng.normal(size=targets.shape), rng.uniform(-2, 2, (50, 3))])
+        on_device, on_host = Nearest(targets, wp.get_device(device)), Nearest(targets, None)
+        for asked in (places, places[:7], places[:0]):
+            (distance, index), (least, other) = on_device.query(asked), on_host.query(asked)
+            np.testing.assert_array_equal(distance, np.linalg.norm(asked - targets[index], axis=1))
+            assert (distance >= least - 1e-15).all()
+            assert (distance <= least + 4 * np.sqrt(3) * 6e-8 * 2.0).all()
+            assert not len(asked) or (index == other).mean() > 0.9

@@ -28,6 +28,7 @@ from warpdef.fit.recover import Cloud, ConnectedSurface, Search
 from warpdef.fit.refine import Refinement
 from warpdef.geometry.cloud_normals import turned_to
 from warpdef.geometry.edges import edge_lengths
+from warpdef.geometry.nearby import Nearest
 from warpdef.geometry.sampling import spread_evenly
 from warpdef.geometry.triangles import vertex_normals
 from warpdef.kernels.ways import Way
@@ -71,7 +72,8 @@ class _Walk:
         self.given, self._places = p.normals.numpy().copy(), p.cloud.numpy()
         clouds = [self._spread_cloud(t) for t in range(p.frame_count)]
         surface = ConnectedSurface.of(p.faces, p.edges.numpy())
-        self.search = Search(objective.vertices.numpy().astype(np.float64), clouds, surface, p.transitions.keyframe)
+        start = objective.vertices.numpy().astype(np.float64)
+        self.search = Search(start, clouds, surface, p.transitions.keyframe, p.device)
         self.bent: set[int] = set()
         self._clouds, self._edges = clouds, surface.edges
         self._lengths = edge_lengths(p.template, self._edges)
@@ -199,9 +201,7 @@ class _Walk:
 
     def _choose_sides(self, frame: int, vertices: np.ndarray) -> None:
         """Normals of unknown side to that of the mesh nearest to them, on the device."""
-        from scipy.spatial import cKDTree
-
         p, (points, normals) = self.problem, self._points(frame)
-        facing = vertex_normals(vertices.astype(np.float64), p.faces)[cKDTree(vertices).query(points)[1]]
+        facing = vertex_normals(vertices.astype(np.float64), p.faces)[Nearest(vertices, p.device).query(points)[1]]
         begin, end = (int(place) for place in p.cloud_offsets[frame : frame + 2])
         p.normals[begin:end].assign(turned_to(normals, facing).astype(np.float32))

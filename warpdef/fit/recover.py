@@ -14,10 +14,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import warp as wp
 
 from warpdef.fit.embedded import DeformationGraph, Pose
 from warpdef.geometry.cloud_normals import estimate_normals, repair_normals, turned_to
 from warpdef.geometry.edges import edge_lengths
+from warpdef.geometry.nearby import Fellows, Nearest
 from warpdef.geometry.triangles import component_labels, vertex_normals
 
 NODES = 400
@@ -74,14 +76,16 @@ class ConnectedSurface:
 
 
 class Matches:
-    """Which vertices of a mesh lie on a cloud, in one connected part of the mesh."""
+    """Which vertices of a mesh lie on a cloud, in one connected part of the mesh.
 
-    def __init__(self, cloud: Cloud, surface: ConnectedSurface) -> None:
-        from scipy.spatial import cKDTree
+    Args:
+        cloud: of one frame. surface: of the mesh. device: where the nearest is looked for; None: on the host.
+    """
 
-        self.cloud, self.surface = cloud, surface
-        self.tree = cKDTree(cloud.points)
-        self.spacing = float(np.median(self.tree.query(cloud.points, k=2)[0][:, 1]))
+    def __init__(self, cloud: Cloud, surface: ConnectedSurface, device: wp.Device | None = None) -> None:
+        self.cloud, self.surface, self._device = cloud, surface, device
+        self._nearest = Nearest(cloud.points, device)
+        self.spacing = float(np.median(Fellows(cloud.points, 2, device=device).distance[:, 1]))
 
     def find(
         self, vertices: np.ndarray, rule: tuple[float, float] = (REACH, AGREEMENT)
@@ -89,7 +93,7 @@ class Matches:
         """Trusted vertices (m,), the points (m, 3) nearest to them and their normals (m, 3)."""
         reach, agreement = rule
         s = self.surface
-        distance, nearest = self.tree.query(vertices)
+        distance, nearest = self._nearest.query(vertices)
         cosine = (vertex_normals(vertices, s.faces) * self.cloud.normals[nearest]).sum(axis=1)
         on = distance < reach * self.spacing
         on &= (cosine if self.cloud.oriented else np.abs(cosine)) > agreement
@@ -104,12 +108,10 @@ class Matches:
 
     def uncovered(self, vertices: np.ndarray) -> float:
         """Share of the cloud's points without a trusted vertex within reach."""
-        from scipy.spatial import cKDTree
-
         trusted, _, _ = self.find(vertices)
         if not len(trusted):
             return 1.0
-        distance, nearest = cKDTree(vertices[trusted]).query(self.cloud.points)
+        distance, nearest = Nearest(vertices[trusted], self._device).query(self.cloud.points)
         # The middle of a triangle is up to 0.6 of its longest edge away from its corners.
         around, edges = np.zeros(len(vertices)), self.surface.edges
         np.maximum.at(around, edges, edge_lengths(vertices, edges)[:, None])
@@ -122,18 +124,24 @@ def lost_above(keyframe_uncovered: float) -> float:
 
 
 def recover(
-    vertices: np.ndarray, clouds: list[Cloud], faces: np.ndarray, edges: np.ndarray, keyframe: int
+    vertices: np.ndarray,
+    clouds: list[Cloud],
+    faces: np.ndarray,
+    edges: np.ndarray,
+    keyframe: int,
+    device: wp.Device | None = None,
 ) -> tuple[list[int], list[int]]:
     """Fit lost frames again, in place: outwards from the keyframe, then inwards from covered frames behind lost ones.
 
     Args:
         vertices: shape (T, V, 3) float64; recovered frames are overwritten.
         clouds: T of them, in the same units. faces: (F, 3). edges: (E, 2), each once. keyframe: a frame that fits.
+        device: see ``Matches``.
 
     Returns:
         Frames recovered, and frames that stay lost.
     """
-    search = Search(vertices, clouds, ConnectedSurface.of(faces, edges), keyframe)
+    search = Search(vertices, clouds, ConnectedSurface.of(faces, edges), keyframe, device)
     for side in (range(keyframe + 1, len(clouds)), range(keyframe - 1, -1, -1)):
         for t in side:
             if search.lost(t):
@@ -149,12 +157,20 @@ class Search:
 
     Args:
         vertices: shape (T, V, 3) float64; frames that learn are overwritten. clouds: T of them, in the same unit.
-        surface: of the mesh. keyframe: a frame that fits.
+        surface: of the mesh. keyframe: a frame that fits. device: where the nearest is looked for; None: on the host.
     """
 
-    def __init__(self, vertices: np.ndarray, clouds: list[Cloud], surface: ConnectedSurface, keyframe: int) -> None:
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        clouds: list[Cloud],
+        surface: ConnectedSurface,
+        keyframe: int,
+        device: wp.Device | None = None,
+    ) -> None:
         self.vertices, self._clouds, self._surface, self._keyframe = vertices, clouds, surface, keyframe
-        self._matches = [Matches(cloud, surface) for cloud in clouds]
+        self._device = device
+        self._matches = [Matches(cloud, surface, device) for cloud in clouds]
         self._uncovered: dict[int, float] = {}
         self._bound = lost_above(self.uncovered(keyframe))
         self.recovered: set[int] = set()
@@ -183,7 +199,7 @@ class Search:
         if self.uncovered(neighbour) > _NOTHING:
             return False
         if not self._matches[t].cloud.oriented:
-            self._matches[t] = Matches(self._clouds[t].turned_outwards(), self._surface)
+            self._matches[t] = Matches(self._clouds[t].turned_outwards(), self._surface, self._device)
             self._uncovered.pop(t, None)
         found, rest = False, self.vertices[neighbour]
         looser = () if self.lost(neighbour) else LOOSER  # what is lost itself teaches little

@@ -122,7 +122,7 @@ class Refinement:
         # Of an incomplete frame what is seen need not hang together: it says nothing of limbs lost.
         judged = np.flatnonzero(p.measures.complete | (np.arange(p.frame_count) == p.transitions.keyframe))
         chosen, keyframe = vertices[judged], int(np.searchsorted(judged, p.transitions.keyframe))
-        recovered, lost = recover(chosen, [clouds[t] for t in judged], p.faces, p.edges.numpy(), keyframe)
+        recovered, lost = recover(chosen, [clouds[t] for t in judged], p.faces, p.edges.numpy(), keyframe, p.device)
         vertices[judged] = chosen
         fate = np.zeros(p.frame_count, dtype=np.int32)
         fate[judged[recovered]], fate[judged[lost]] = 1, 2

@@ -108,3 +108,45 @@ class Fellows:
 
         distance, index = cKDTree(points).query(points[:: self._every], k=np.arange(1, self._count + 1))
         return index, distance
+
+
+class Nearest:
+    """The nearest of some targets, asked for as often as one likes.
+
+    Args:
+        targets: shape (N, 3), N above 0, about the size of the cube; single precision on a device.
+        device: where to search; None: on the host, without Warp.
+    """
+
+    def __init__(self, targets: np.ndarray, device: wp.Device | None) -> None:
+        self._targets, self._device = targets, device
+        if device is None:
+            from scipy.spatial import cKDTree
+
+            self._tree = cKDTree(targets)
+            return
+        from warpdef.kernels.cells import PointGrid
+
+        self._grid = PointGrid(_uploaded(targets, device), [len(targets)])
+        self._grid.build()
+
+    def query(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (M,) float64 from places (M, 3) to the nearest targets, and these, (M,)."""
+        if self._device is None:
+            return self._tree.query(places)
+        import warp as wp
+
+        from warpdef.device import on_host
+        from warpdef.kernels.neighbours import NearestSearch
+
+        group = wp.zeros(len(places), dtype=wp.int32, device=self._device)
+        search = NearestSearch(self._grid, _uploaded(places, self._device), group)
+        search.run()
+        index = on_host(search.index)
+        return np.linalg.norm(places - self._targets[index], axis=1), index
+
+
+def _uploaded(places: np.ndarray, device: wp.Device) -> wp.array:
+    import warp as wp
+
+    return wp.array(np.ascontiguousarray(places, dtype=np.float32), dtype=wp.vec3, device=device)
