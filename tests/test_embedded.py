@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from synthetic import icosphere
 
-from warpdef.fit.embedded import DeformationGraph, Pose, _cross_matrix, _rotations
+from warpdef.fit.embedded import DeformationGraph, Pose, _cross_matrix, rotations
 from warpdef.geometry.triangles import unique_edges
 
 
 def rotation(axis: list[float], angle: float) -> np.ndarray:
     unit = np.array(axis) / np.linalg.norm(axis)
-    return _rotations(angle * unit[None])[0]
+    return rotations(angle * unit[None])[0]
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_step_is_gauss_newton(sphere):
     vertices = vertices * [1.0, 0.7, 0.4]
     graph = DeformationGraph.build(vertices, edges, 9)
     rng = np.random.default_rng(0)
-    pose = Pose(_rotations(0.3 * rng.normal(size=(9, 3))), 0.1 * rng.normal(size=(9, 3)))
+    pose = Pose(rotations(0.3 * rng.normal(size=(9, 3))), 0.1 * rng.normal(size=(9, 3)))
     chosen = rng.choice(len(vertices), 200, replace=False)
     goal = vertices[chosen] + 0.1 * rng.normal(size=(200, 3))
     normal = rng.normal(size=(200, 3))
@@ -83,7 +83,7 @@ def test_step_is_gauss_newton(sphere):
 
     def residuals(move: np.ndarray) -> np.ndarray:
         move = move.reshape(9, 6)
-        at = Pose(_rotations(move[:, :3]) @ pose.rotation, pose.shift + move[:, 3:])
+        at = Pose(rotations(move[:, :3]) @ pose.rotation, pose.shift + move[:, 3:])
         r = graph.place(vertices, at)[chosen] - goal
         g, (j, k) = vertices[graph.node], graph.link.T
         bent = np.einsum("eab,eb->ea", at.rotation[j], g[k] - g[j]) + g[j] + at.shift[j] - g[k] - at.shift[k]
@@ -95,7 +95,7 @@ def test_step_is_gauss_newton(sphere):
     expected = np.linalg.solve(jacobian.T @ jacobian, -jacobian.T @ residuals(np.zeros(54))).reshape(9, 6)
     after = graph.step(vertices, pose, chosen, goal, normal, rigidity, tangential)
     np.testing.assert_allclose(after.shift - pose.shift, expected[:, 3:], atol=1e-5)
-    np.testing.assert_allclose(after.rotation, _rotations(expected[:, :3]) @ pose.rotation, atol=1e-5)
+    np.testing.assert_allclose(after.rotation, rotations(expected[:, :3]) @ pose.rotation, atol=1e-5)
 
 
 def test_step_without_matches_keeps_an_unbent_mesh(sphere):
@@ -108,7 +108,7 @@ def test_step_without_matches_keeps_an_unbent_mesh(sphere):
 
 def test_rotations_of_vectors():
     v = np.array([[0.0, 0, 0], [1e-9, 0, 0], [0.3, -0.2, 0.5], [0, 0, np.pi]])
-    r = _rotations(v)
+    r = rotations(v)
     np.testing.assert_allclose(r @ r.transpose(0, 2, 1), np.tile(np.eye(3), (4, 1, 1)), atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(r), 1.0)
     angles = np.arccos(np.clip((np.trace(r, axis1=1, axis2=2) - 1) / 2, -1, 1))

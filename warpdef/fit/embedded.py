@@ -180,7 +180,7 @@ class DeformationGraph:
         options = {"SymmetricMode": True}
         solve = splu(system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         move = solve.solve(-right).reshape(count, 6)
-        return Pose(_rotations(move[:, :3]) @ pose.rotation, pose.shift + move[:, 3:])
+        return Pose(rotations(move[:, :3]) @ pose.rotation, pose.shift + move[:, 3:])
 
     @cached_property
     def _pattern(self) -> np.ndarray:
@@ -227,7 +227,7 @@ def _cross_matrix(v: np.ndarray) -> np.ndarray:
     return np.stack([z, -w, y, w, z, -x, -y, x, z], axis=-1).reshape(*v.shape, 3)
 
 
-def _rotations(v: np.ndarray) -> np.ndarray:
+def rotations(v: np.ndarray) -> np.ndarray:
     """Rotations by the vectors (n, 3), angle their length (Rodrigues): (n, 3, 3)."""
     angle = np.linalg.norm(v, axis=1)[:, None, None]
     cross = _cross_matrix(v)
