@@ -83,6 +83,8 @@ class TemplateConfig:
     """Largest share of keyframe points further than that from the template that passes the quality gate."""
     attempts: int = 4
     """Keyframes tried before the best failing template is used with a warning."""
+    grow: bool = True
+    """Where one camera saw a body that turns: make the template of all frames, not of what a keyframe shows."""
 
     def __post_init__(self) -> None:
         known = self.backend in ("auto", "gpytoolbox", "pymeshlab")

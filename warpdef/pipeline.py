@@ -21,6 +21,7 @@ from warpdef.appearance import Appearance
 from warpdef.config import Config
 from warpdef.device import device_warnings, load_kernels, team_size, usable_cores
 from warpdef.errors import MissingPackageError
+from warpdef.fit.growing import template_of_all
 from warpdef.fit.landmarks import PlacedLandmarks
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
@@ -134,10 +135,11 @@ def reconstruct(
             with held_interrupts() as interruption:
                 resumed = [*saved.facts["resumed"], saved.iteration] if saved is not None else []
                 facts = lasting_facts(sequence, config, chosen, safeguards.notes, resumed, ready.landmarks)
-                saver = Saver(safeguards.checkpoint, safeguards.checkpoint_seconds, facts, mesh, clock)
+                saver = Saver(safeguards.checkpoint, safeguards.checkpoint_seconds, facts, chosen, clock)
                 show = _with_meshes(tell, optimiser.objective, mesh.faces, into, sequence)
                 limits = Limits(interruption, clock, safeguards.seconds_max)
-                run = FitRun(optimiser, refinement, team.size, limits, saver, show)
+                starts = None if chosen.placed is None else chosen.placed[list(sequence.numbers)]
+                run = FitRun(optimiser, refinement, team.size, limits, saver, show, starts)
                 run.warnings += told
                 if saved is not None:
                     run.restore(saved)
@@ -193,9 +195,27 @@ def _template(
     # Frames are numbered as in the input: one without usable points is an empty cloud.
     clouds = [into.to_cube(p) for p in sequence.all_frames()]
     if mine is None:
-        return choose_template(clouds, sequence.all_normals(), config, view, sequence.places)
+        return _own_template(clouds, sequence, config, view)
     chosen = accept_user_template(mine, clouds, config)
     return replace(chosen, warnings=[*notes, *chosen.warnings])
+
+
+def _own_template(
+    clouds: list[np.ndarray], sequence: PointSequence, config: Config, view: np.ndarray | None
+) -> ChosenTemplate:
+    """Of all frames, where one camera saw a body that turns; else of the best keyframe."""
+    normals, note = sequence.all_normals(), ""
+    if view is not None and config.template.grow and not sequence.order:
+        neighbours = config.template.neighbours
+        sides = [
+            n if n is not None else seen_normals(p, view, neighbours) if len(p) else p
+            for p, n in zip(clouds, normals, strict=True)
+        ]
+        chosen, note = template_of_all(clouds, sides, config, view)
+        if chosen is not None:
+            return chosen
+    chosen = choose_template(clouds, normals, config, view, sequence.places)
+    return replace(chosen, warnings=[note, *chosen.warnings]) if note else chosen
 
 
 def _with_meshes(

@@ -9,6 +9,11 @@ A room a file, in the order in which a run goes through them:
     objective, terms            what is descended on, in its phases; a class a loss term
     chain, correspondences      the template moved through all frames, and back; who is nearest to whom
 
+Where one camera saw a body that turns, the template itself comes of all frames first:
+
+    growing                     outwards from the keyframe; where each frame is expected to have it
+    surfels                     the surface known so far, as oriented points that bend
+
 Without the paper's chain the mesh then follows the grids, frame by frame:
 
     follow                      outwards from the keyframe, by ``refine`` and, what is lost, by ``recover``

@@ -39,7 +39,11 @@ _ASKED = 20_000  # points of a frame, evenly spread, that tell what is not cover
 
 
 def follow(
-    objective: Objective, refinement: Refinement, threads: int = 1, stopped: Callable[[], object] = bool
+    objective: Objective,
+    refinement: Refinement,
+    threads: int = 1,
+    stopped: Callable[[], object] = bool,
+    starts: np.ndarray | None = None,
 ) -> tuple[list[int], list[int]]:
     """Fit all frames but the keyframe in place; after the paper's descent those from the first lost one on.
 
@@ -48,11 +52,15 @@ def follow(
         refinement: the vertex stage of the same problem, not yet started.
         threads: with two or more both sides are followed at the same time on the CPU; the result is the same bits.
         stopped: asked before every frame; if true the frames left stay as they are.
+        starts: where frames of what one camera saw are fitted from, (T, V, 3) in the template's own order; None: there
+            the template is bent onto them.
 
     Returns:
         The frames fitted, and those of them that took a way of their own (bent by matches); both ascending.
     """
     walk = _Walk(objective, refinement, stopped)
+    if starts is not None:
+        walk.starts = starts[:, np.argsort(objective.problem.place)]
     ends = objective.problem.transitions
     refinement.shape.take()
     with ThreadPoolExecutor(2 if threads > 1 and objective.problem.way is Way.SPANS else 1) as pool:
@@ -75,6 +83,7 @@ class _Walk:
         start = objective.vertices.numpy().astype(np.float64)
         self.search = Search(start, clouds, surface, p.transitions.keyframe, p.device)
         self.bent: set[int] = set()
+        self.starts: np.ndarray | None = None
         self._clouds, self._edges = clouds, surface.edges
         self._lengths = edge_lengths(p.template, self._edges)
 
@@ -97,17 +106,21 @@ class _Walk:
 
     def bent_outwards(self, transitions: range) -> list[int]:
         """Frames of one side, of what one camera saw, in order."""
-        bending, ends = self.bending, self.problem.transitions
-        poses, usual = {ends.keyframe: bending.still()}, 0.0
-        fitted: list[int] = []
+        ends, fitted = self.problem.transitions, list[int]()
+        bending = self.bending if self.starts is None else None
+        poses, usual = {} if bending is None else {ends.keyframe: bending.still()}, 0.0
         for s in transitions:
             source, target = int(ends.source[s]), int(ends.target[s])
             if self.stopped():
                 break
-            cloud = SeenCloud.of(*self._points(target), self.problem.eye)
-            poses[target] = bending.onto(cloud, poses[source], usual)
-            usual = bending.fault(cloud, poses[target])
-            self.objective.vertices[target].assign(bending.place(poses[target]).astype(np.float32))
+            if bending is not None:
+                cloud = SeenCloud.of(*self._points(target), self.problem.eye)
+                poses[target] = bending.onto(cloud, poses[source], usual)
+                usual = bending.fault(cloud, poses[target])
+                self.objective.vertices[target].assign(bending.place(poses[target]).astype(np.float32))
+            else:
+                assert self.starts is not None
+                self.objective.vertices[target].assign(self.starts[target].astype(np.float32))
             self._lead(target)
             self._settle(target, source)
             fitted.append(target)

@@ -11,6 +11,7 @@ import math
 from dataclasses import asdict, replace
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from warpdef.errors import WarpdefError
@@ -32,6 +33,7 @@ class FitRun:
 
     steps: the loss curve, a record a look. warnings: what went wrong and how it went on.
     followed: frames fitted one after the other (``follow``). bent: those of them that matches found, not grids.
+    starts: where each frame is expected to have the template, (T, V, 3) in its order; None where nothing is known.
     stopped: why the run ended before its time; empty if it did not.
     """
 
@@ -43,9 +45,10 @@ class FitRun:
         limits: Limits,
         saver: Saver,
         tell: Callback,
+        starts: np.ndarray | None = None,
     ) -> None:
         self.optimiser, self.refinement, self.threads = optimiser, refinement, threads
-        self.limits, self.saver, self.tell = limits, saver, tell
+        self.limits, self.saver, self.tell, self._starts = limits, saver, tell, starts
         self.steps: list[dict[str, float]] = []
         self.warnings: list[str] = []
         self.followed: list[int] = []
@@ -130,7 +133,7 @@ class FitRun:
         if not self._refining and not reason:
             if r.config.follow and (r.config.recover or not self.optimiser.config.chain):
                 objective = self.optimiser.objective
-                self.followed, self.bent = follow(objective, r, self.threads, self.limits.reason)
+                self.followed, self.bent = follow(objective, r, self.threads, self.limits.reason, self._starts)
                 reason = self.limits.reason()
             if not reason:
                 r.start()

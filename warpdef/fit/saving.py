@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -45,19 +45,24 @@ _FACTS = {
 }
 
 
+_ARRAYS = ("mesh", "placed")  # of a template: no facts
+
+
 class Saver:
     """Writes one run's checkpoint now and then, always to the same place.
 
     Args:
         path: the file; None: nothing is ever written. seconds: least time between two.
-        facts: what does not change during the run. template: the template chosen. clock: of the run.
+        facts: what does not change during the run. template: the one chosen. clock: of the run.
     """
 
     def __init__(
-        self, path: Path | None, seconds: float, facts: dict[str, Any], template: TriMesh, clock: Clock
+        self, path: Path | None, seconds: float, facts: dict[str, Any], template: ChosenTemplate, clock: Clock
     ) -> None:
         self._path, self._seconds, self._facts, self._clock = path, seconds, facts, clock
-        self._arrays = {"template.vertices": template.vertices, "template.faces": template.faces}
+        self._arrays = {"template.vertices": template.mesh.vertices, "template.faces": template.mesh.faces}
+        if template.placed is not None:
+            self._arrays["template.placed"] = template.placed
         self._next = clock.begun + seconds
         self._failed = False
 
@@ -161,8 +166,9 @@ class Saved:
         with understood(self.path):
             told, arrays = dict(self.facts["template"]), self.part("template")
             mesh = TriMesh(arrays["vertices"], arrays["faces"])
-            hints = {name: kind for name, kind in get_type_hints(ChosenTemplate).items() if name != "mesh"}
-            chosen = ChosenTemplate(mesh, **{name: from_plain(hints[name], v, name) for name, v in told.items()})
+            hints = {name: kind for name, kind in get_type_hints(ChosenTemplate).items() if name not in _ARRAYS}
+            given_facts = {name: from_plain(hints[name], v, name) for name, v in told.items()}
+            chosen = ChosenTemplate(mesh, **given_facts, placed=arrays.get("placed"))
             if chosen.keyframe not in frames:
                 raise ValueError(f"keyframe {chosen.keyframe}")
         if given is not None and not (
@@ -188,5 +194,7 @@ def lasting_facts(
         "digests": digests(sequence.all_frames(), sequence.all_normals()),
         "landmarks": "" if landmarks is None else landmarks.digest(),
         "resumed": resumed,
-        "template": {name: value for name, value in asdict(chosen).items() if name != "mesh"},
+        "template": {
+            name: value for name, value in asdict(replace(chosen, placed=None)).items() if name not in _ARRAYS
+        },
     }

@@ -14,12 +14,13 @@ from functools import cached_property
 
 import numpy as np
 
+from warpdef.fit.bending import AGREEMENT, ALONG, FACING, STILL, WAY_BACK
 from warpdef.fit.embedded import DeformationGraph, Pose, rotations
 from warpdef.geometry.rotations import nearest_rotation
 from warpdef.geometry.sampling import spread_evenly
 from warpdef.template.support import border_points
 
-SAMPLE = 2000
+MATCHED = 2000
 """Points of a frame that are matched: spread evenly."""
 TURNED, TURN_SHRINK, TURN_REACH, TURN_STEPS = 30.0, 0.8, 3.0, 40
 """Reach of the first step of the rigid motion in spacings, its factor from step to step, the least, and most steps."""
@@ -27,18 +28,16 @@ _STILL_TURN = 1e-3  # largest component of a step's rotation and shift, cube uni
 _SETTLED_TURN = 12  # ... once the reach is small
 STAGES = ((12.0, 2.0, 4), (8.0, 1.0, 4), (5.0, 0.5, 4), (3.0, 0.1, 4))
 """Reach in spacings, rigidity, and Gauss-Newton steps at most of the bending that follows."""
-STILL = 0.3  # largest move of a surfel in a step, in spacings, below which the next stage begins
-ALONG = 0.1  # weight of a match's distance along the surface
-FACING = 3.0  # of a normal against a place, in spacings
-AGREEMENT = 0.3  # least cosine between the normals of a match
-WAY_BACK = 3.0  # in spacings, see ``bending``
 SEEN = 0.1  # least cosine to the camera of a surfel that asks for points
-_NOTHING = 1e-3
+_NEGLIGIBLE = 1e-3  # weight of a match
 NEIGHBOURS = 8
 LINKED = 3.0  # largest length of an edge between surfels, in spacings
 SURFELS_A_NODE, NODES_LEAST, NODES_MOST = 10, 50, 400
 EXPLAINED_ACROSS, EXPLAINED_ALONG, EXPLAINED_FACING = 2.0, 1.2, 0.5
 """A point is explained that is within these many spacings of a surfel, and whose normal has at least this cosine."""
+MET = 0.5  # weight of its matches from which a frame shows a surfel
+HELD = 0.2  # share of a node's surfels that a frame must show to hold it
+CARRIERS = 4  # surfels whose motions are averaged at a place
 JOINED = 2.5  # largest distance of neighbours in a cloud, in spacings, over which a surface goes on
 
 
@@ -53,7 +52,7 @@ class SeenFrame:
     @cached_property
     def sample(self) -> np.ndarray:
         """The points that are matched, (n,)."""
-        return spread_evenly(self.points, SAMPLE)
+        return spread_evenly(self.points, MATCHED)
 
     @cached_property
     def border(self) -> np.ndarray:
@@ -116,10 +115,42 @@ class Surfels:
         turn, shift = self.motions(pose)
         return np.einsum("vab,vb->va", turn, self.points) + shift, _unit(np.einsum("vab,vb->va", turn, self.normals))
 
-    def going_on(self, pose: Pose, before: Pose) -> Pose:
-        """The next pose, if every node goes on as it came here from the pose before."""
-        anchor, turn = self.points[self.graph.node], pose.rotation @ before.rotation.transpose(0, 2, 1)
-        step = np.einsum("nab,nb->na", turn, pose.shift - before.shift)
+    def carry(self, points: np.ndarray, normals: np.ndarray, pose: Pose) -> np.ndarray:
+        """Oriented points at rest, (m, 3) both, where the nearest surfels take them in a pose, (m, 3)."""
+        from scipy.spatial import cKDTree
+
+        turned = FACING * self.spacing
+        tree = cKDTree(np.column_stack([self.points, turned * self.normals]))
+        distance, index = tree.query(np.column_stack([points, turned * normals]), k=CARRIERS)
+        weight = 1.0 / (distance + 0.1 * self.spacing)
+        weight /= weight.sum(axis=1, keepdims=True)
+        turn, shift = self.motions(pose)
+        turn, shift = np.einsum("mk,mkab->mab", weight, turn[index]), np.einsum("mk,mka->ma", weight, shift[index])
+        return np.einsum("mab,mb->ma", turn, points) + shift
+
+    def supported(self, frame: SeenFrame, pose: Pose) -> np.ndarray:
+        """Which nodes a frame holds in a pose, by the share of their surfels that it shows, (n,) bool."""
+        g = self.graph
+        surfel, _, weight = _matches(*self.place(pose), self.border, frame, STAGES[-1][0])
+        met = np.bincount(surfel, weight, minlength=len(self.points)) > MET
+        index, share = g.index.ravel(), g.weight.ravel()
+        whole = np.bincount(index, share, minlength=len(g.node))
+        held = np.bincount(index, share * np.repeat(met, g.index.shape[1]), minlength=len(g.node))
+        return held > HELD * whole
+
+    def going_on(self, pose: Pose, before: Pose, supported: np.ndarray) -> Pose:
+        """The next pose, if every node goes on as it came here from the pose before; one that was not supported (n,)
+        goes with all others, as one rigid body: what no frame shows would swing ever farther."""
+        here, there = (self.points[self.graph.node] + p.shift for p in (pose, before))
+        turn = pose.rotation @ before.rotation.transpose(0, 2, 1)
+        step = np.einsum("nab,nb->na", turn, here - there)
+        if supported.any():
+            middle, was = here[supported].mean(axis=0), there[supported].mean(axis=0)
+            spread = (here[supported] - middle).T @ (there[supported] - was)
+            whole = nearest_rotation(spread)
+            alone = ~supported
+            turn[alone] = whole
+            step[alone] = (here[alone] - was) @ whole.T + middle - here[alone]
         return Pose(turn @ pose.rotation, pose.shift + step)
 
     def onto(self, frame: SeenFrame, start: Pose) -> Pose:
@@ -152,7 +183,7 @@ class Surfels:
 
         points, normals, spacing, total = frame.points, frame.normals, self.spacing, len(frame.points)
         placed, facing = self.place(pose)
-        anchor = _nearest_facing(placed, facing, points, normals, spacing)[1]
+        anchor = nearest_facing(placed, facing, points, normals, spacing)[1]
         off = points - placed[anchor]
         across = (off * facing[anchor]).sum(axis=1)
         along = np.linalg.norm(off - across[:, None] * facing[anchor], axis=1)
@@ -165,9 +196,7 @@ class Surfels:
             ends = np.repeat(np.arange(total), joined.sum(axis=1)), index[:, 1:][joined]
             walk = csr_matrix((np.maximum(near[:, 1:][joined], 1e-12), ends), shape=(total, total))
             known = np.flatnonzero(explained)
-            away, _, source = dijkstra(
-                walk, directed=False, indices=known, min_only=True, return_predecessors=True
-            )
+            away, _, source = dijkstra(walk, directed=False, indices=known, min_only=True, return_predecessors=True)
             reached = np.isfinite(away)
             anchor[reached] = anchor[source[reached]]
         turn, shift = self.motions(pose, anchor)
@@ -198,8 +227,8 @@ def _matches(
     point asks for a surfel close by.
     """
     points, normals = frame.points[frame.sample], frame.normals[frame.sample]
-    asked = _nearest_facing(placed, facing, points, normals, frame.spacing)[1]
-    asking = _nearest_facing(points, normals, placed, facing, frame.spacing)[1]
+    asked = nearest_facing(placed, facing, points, normals, frame.spacing)[1]
+    asking = nearest_facing(points, normals, placed, facing, frame.spacing)[1]
     surfel = np.concatenate([asked, np.arange(len(placed))])
     point = np.concatenate([np.arange(len(points)), asking])
     away = np.linalg.norm(placed[surfel] - points[point], axis=1)
@@ -207,7 +236,7 @@ def _matches(
     weight *= ((facing[surfel] * normals[point]).sum(axis=1) > AGREEMENT) & ~border[surfel] & ~frame.border[point]
     back = np.linalg.norm(placed[asked[asking]] - placed, axis=1)
     weight[len(points) :] *= np.exp(-((back / (WAY_BACK * frame.spacing)) ** 4)) * (facing @ frame.view > SEEN)
-    kept = weight > _NOTHING
+    kept = weight > _NEGLIGIBLE
     return surfel[kept], point[kept], weight[kept]
 
 
@@ -255,7 +284,7 @@ def _connected(graph: DeformationGraph, points: np.ndarray) -> DeformationGraph:
     return replace(graph, link=np.unique(np.concatenate([graph.link, both, both[:, ::-1]]), axis=0))
 
 
-def _nearest_facing(
+def nearest_facing(
     points: np.ndarray, normals: np.ndarray, places: np.ndarray, sides: np.ndarray, spacing: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distances and indices (m,) of the oriented points nearest to oriented places (m, 3), in (x, FACING s n)."""

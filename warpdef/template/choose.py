@@ -32,6 +32,7 @@ class ChosenTemplate:
     report:   how the mesh was made
     gate:     what the quality gate measured
     warnings: everything that a user should hear of
+    placed:   where each of T frames is expected to have the mesh, (T, V, 3) cube units; None where nothing is known
     """
 
     mesh: TriMesh
@@ -40,6 +41,7 @@ class ChosenTemplate:
     report: TemplateReport
     gate: GateReport
     warnings: list[str]
+    placed: np.ndarray | None = None
 
 
 def choose_template(
