@@ -16,9 +16,9 @@ import numpy as np
 
 from warpdef.fit.bending import AGREEMENT, ALONG, FACING, STILL, WAY_BACK
 from warpdef.fit.embedded import DeformationGraph, Pose, rotations
+from warpdef.geometry.borders import border_points
 from warpdef.geometry.rotations import nearest_rotation
 from warpdef.geometry.sampling import spread_evenly
-from warpdef.template.support import border_points
 
 MATCHED = 2000
 """Points of a frame that are matched: spread evenly."""
