@@ -1,9 +1,13 @@
 """The template of all frames: a body that turns before one camera becomes whole; one that does not stays a sheet."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 import synthetic
 
+import warpdef
 from warpdef.config import Config, KeyframeConfig
 from warpdef.fit.embedded import Pose
 from warpdef.fit.growing import TURN_PAYS, measure_turn, template_of_all
@@ -121,3 +125,35 @@ def test_nodes_go_on_as_they_went_and_what_no_frame_shows_goes_with_the_rest():
     next_pose = surfels.going_on(astray, surfels.still(), ~hidden)
     np.testing.assert_allclose((node + next_pose.shift)[~hidden], twice[~hidden], atol=1e-12)
     np.testing.assert_allclose((node + next_pose.shift)[hidden], (twice + [0.0, 0.4, 0.0])[hidden], atol=1e-12)
+
+
+def test_a_run_on_it_goes_on_from_its_checkpoint_with_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    config, at = Config(), tmp_path / "checkpoint"
+    config = replace(
+        config,
+        grid=replace(config.grid, levels=3),
+        optimiser=replace(config.optimiser, iterations=20, warmup=20),
+        refine=replace(config.refine, iterations=2),
+        template=replace(config.template, faces_max=1000),
+    )
+    clouds, cut = film(STEP, 4, 1600)[0], KeyboardInterrupt("cut")
+
+    def run(**how) -> warpdef.Reconstruction:
+        callback = how.pop("callback", None)
+        asked = None if "resume" in how else config
+        return warpdef.reconstruct(
+            clouds, asked, device="cpu", threads=1, callback=callback, safeguards=warpdef.Safeguards(**how)
+        )
+
+    def die(progress) -> None:
+        if progress.phase == "optimise" and progress.iteration == 20:
+            raise cut
+
+    whole = run()
+    assert any("made of all frames" in warning for warning in whole.report["warnings"])
+    with pytest.raises(KeyboardInterrupt):
+        run(checkpoint=at, checkpoint_seconds=0.0, callback=die)
+    monkeypatch.setattr("warpdef.pipeline.template_of_all", None)  # it is not grown again
+    again = run(resume=at)
+    np.testing.assert_array_equal(again.vertices, whole.vertices)
+    assert again.report["warnings"] == whole.report["warnings"]

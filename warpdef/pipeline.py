@@ -215,7 +215,10 @@ def _own_template(
         if chosen is not None:
             return chosen
     chosen = choose_template(clouds, normals, config, view, sequence.places)
-    return replace(chosen, warnings=[note, *chosen.warnings]) if note else chosen
+    if not note:
+        return chosen
+    ends = "the mesh is a sheet of what is seen" if chosen.report.surface == "open" else "its far side is a guess"
+    return replace(chosen, warnings=[f"{note}; {ends}", *chosen.warnings])
 
 
 def _with_meshes(

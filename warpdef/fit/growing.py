@@ -96,7 +96,7 @@ def template_of_all(
     if degrees < TURN_PAYS:
         return None, (
             f"one camera saw all frames, and the body turns by {degrees:.0f} degrees before it: only one side is ever "
-            "seen, and the mesh is true there alone"
+            "seen"
         )
     turns = f"one camera saw all frames, and the body turns by {degrees:.0f} degrees before it"
     keyframe, why = _middle_frame(clouds, sorted(frames), config)
@@ -104,8 +104,7 @@ def template_of_all(
     lost = growth.follow_all()
     if lost is not None:
         return None, (
-            f"{turns}, but from keyframe {keyframe} it is lost in frame {lost}: the template is what one frame shows, "
-            "and slides over the body"
+            f"{turns}, but from keyframe {keyframe} it is lost in frame {lost}: the template is what one frame shows"
         )
     points, sides = growth.fused()
     try:
