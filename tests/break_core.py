@@ -196,6 +196,8 @@ BREAKS = [
           "a vertex has more than its own"),
     Break("warpdef/fit/bending.py", "if left <= max(FAULTLESS, usual):", "if True:", ("bending",),
           "fingers stay on the places of others"),
+    Break("warpdef/fit/bending.py", "(held < _UNMET)", "(held < 0.0)", ("bending",),
+          "what is hidden springs back to its rest"),
     Break("warpdef/geometry/viewpoint.py", "(beside > room) | (before > room)", "(beside > room)", ("viewpoint",),
           "what stands before all that was seen is taken for hidden"),
     Break("warpdef/quality/exposed.py", "facing & (coverage.away > FAR)", "coverage.away > np.inf", ("quality",),

@@ -120,6 +120,21 @@ def test_what_the_camera_would_have_seen_is_pushed_out_of_sight():
     assert beside[1] < 0.5 * beside[0]
 
 
+def test_links_that_no_match_holds_stay_bent_as_they_were():
+    rest, faces = hand()
+    bending = bending_of(rest, faces)
+    pose = bending.pose_of(rest + 0.1 * np.random.default_rng(0).normal(size=rest.shape))
+    bend = bending.graph.bend(rest, pose)
+    finger = np.flatnonzero((rest[:, 0] > 0.59) & (rest[:, 1] > 0.0))
+    others = np.setdiff1d(np.arange(len(rest)), finger)
+    usual = bending._usual(pose, bend, others, np.ones(len(others)))
+    inside = np.isin(bending.graph.node[bending.graph.link], finger[rest[finger, 1] > 0.2]).all(axis=1)
+    palm = (rest[bending.graph.node, 1] < -0.1)[bending.graph.link].all(axis=1)
+    assert inside.any() and not usual[palm].any()
+    there = np.einsum("eab,eb->ea", pose.rotation[bending.graph.link[:, 0]], bend)
+    np.testing.assert_array_equal(usual[inside], there[inside])
+
+
 def test_points_are_not_met_by_the_far_side():
     """A thin plate; what is seen moves through it to where the far side was: the near side must follow, facing."""
     direction, faces = synthetic.icosphere(3)

@@ -114,3 +114,19 @@ def test_rotations_of_vectors():
     angles = np.arccos(np.clip((np.trace(r, axis1=1, axis2=2) - 1) / 2, -1, 1))
     np.testing.assert_allclose(angles, np.linalg.norm(v, axis=1), atol=1e-7)
     np.testing.assert_allclose(np.einsum("nab,nb->na", _cross_matrix(v), [[1.0, 2, 3]] * 4), np.cross(v, [1, 2, 3]))
+
+
+def test_what_is_bent_as_usual_stays_so(sphere):
+    """Without matches a step straightens a pose; with its own bend as the usual one it leaves it, turned or not."""
+    vertices, _, edges = sphere
+    graph = DeformationGraph.build(vertices, edges, 12)
+    rng = np.random.default_rng(0)
+    pose = Pose(_rotations(0.2 * rng.normal(size=(12, 3))), 0.1 * rng.normal(size=(12, 3)))
+    turn, anchor = rotation([1, 2, 3], 0.7), vertices[graph.node]
+    turned = Pose(turn @ pose.rotation, (anchor + pose.shift) @ turn.T - anchor)
+    bend = graph.bend(vertices, pose)
+    np.testing.assert_allclose(graph.bend(vertices, turned), bend, atol=1e-12)
+    nothing = (np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros((0, 3)), 0.1, 0.1)
+    usual = np.einsum("eab,eb->ea", turned.rotation[graph.link[:, 0]], bend)
+    np.testing.assert_allclose(graph.step(vertices, turned, *nothing, usual=usual).shift, turned.shift, atol=1e-9)
+    assert np.abs(graph.step(vertices, turned, *nothing).shift - turned.shift).max() > 0.01

@@ -140,12 +140,12 @@ class Bending:
         mend there is the shape's.
         """
         near = self._by_nearest(cloud.thinned(COARSE), start, COARSE_SCHEDULE, self._coarse)
-        near = self._by_nearest(cloud, near, SCHEDULE, self._chosen)
+        near = self._by_nearest(cloud, near, SCHEDULE, self._chosen, start)
         left = self.fault(cloud, near)
         if left <= max(FAULTLESS, usual):
             return near
         shared = self._by_shares(cloud.thinned(SHARED), start)
-        shared = self._by_nearest(cloud, shared, SCHEDULE, self._chosen)
+        shared = self._by_nearest(cloud, shared, SCHEDULE, self._chosen, start)
         return shared if self.fault(cloud, shared) < BETTER * left else near
 
     def fault(self, cloud: SeenCloud, pose: Pose) -> float:
@@ -199,12 +199,17 @@ class Bending:
         return pose
 
     def _by_nearest(
-        self, cloud: SeenCloud, start: Pose, schedule: tuple[tuple[float, float, int], ...], chosen: np.ndarray
+        self,
+        cloud: SeenCloud,
+        start: Pose,
+        schedule: tuple[tuple[float, float, int], ...],
+        chosen: np.ndarray,
+        usual: Pose | None = None,
     ) -> Pose:
-        """From a pose by nearest neighbours."""
+        """From a pose by nearest neighbours; what has none stays bent as in the ``usual`` pose, or where it starts."""
         from scipy.spatial import cKDTree
 
-        pose, turned = start, FACING * cloud.spacing
+        pose, turned, bend = start, FACING * cloud.spacing, self.graph.bend(self.rest, usual or start)
         placed = self.place(pose)
         seen = np.column_stack([cloud.points, turned * cloud.normals])
         tree = cKDTree(seen)
@@ -227,12 +232,21 @@ class Bending:
                 unmet = chosen[weight[len(asked) :] < _UNMET]
                 vertex, point = vertex[kept], point[kept]
                 matched = (vertex, cloud.points[point], cloud.normals[point], weight[kept])
+                usual = self._usual(pose, bend, vertex, weight[kept])
                 matched = self._with_pushed(matched, cloud, placed, facing, unmet)
-                pose = self.graph.step(self.rest, pose, *matched[:3], rigidity, ALONG, matched[3])
+                pose = self.graph.step(self.rest, pose, *matched[:3], rigidity, ALONG, matched[3], usual)
                 before, placed = placed, self.place(pose)
                 if np.abs(placed - before).max() < STILL * cloud.spacing:
                     break
         return pose
+
+    def _usual(self, pose: Pose, bend: np.ndarray, vertex: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Of links with a node that no match (m,) holds, how they usually are bent (e, 3), turned as they are now."""
+        graph = self.graph
+        share = graph.weight[vertex] * weight[:, None]
+        held = np.bincount(graph.index[vertex].ravel(), weights=share.ravel(), minlength=len(graph.node))
+        hidden = (held < _UNMET)[graph.link].any(axis=1)
+        return np.einsum("eab,eb->ea", pose.rotation[graph.link[:, 0]], bend) * hidden[:, None]
 
     def _contradicted(
         self, cloud: SeenCloud, placed: np.ndarray, facing: np.ndarray, vertex: np.ndarray, room: float = ROOM

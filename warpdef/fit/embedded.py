@@ -126,6 +126,12 @@ class DeformationGraph:
             placed += w[:, None] * (turned + anchor[j] + pose.shift[j])
         return placed
 
+    def bend(self, rest: np.ndarray, pose: Pose) -> np.ndarray:
+        """What links differ by from a rigid motion of their first node, turned back with it: (e, 3)."""
+        anchor, (j, k) = rest[self.node], self.link.T
+        away = anchor[j] + pose.shift[j] - anchor[k] - pose.shift[k]
+        return anchor[k] - anchor[j] + np.einsum("eba,eb->ea", pose.rotation[j], away)
+
     def step(
         self,
         rest: np.ndarray,
@@ -136,6 +142,7 @@ class DeformationGraph:
         rigidity: float,
         tangential: float,
         weight: np.ndarray | None = None,
+        usual: np.ndarray | None = None,
     ) -> Pose:
         """One Gauss-Newton step of
 
@@ -143,7 +150,7 @@ class DeformationGraph:
             + rigidity/e sum_(j,k) |R_j (g_k - g_j) + g_j + t_j - g_k - t_k|^2
 
         with r_i the vertex ``chosen[i]`` minus its ``goal`` (m, 3), n its unit ``normal`` (m, 3), and w its
-        ``weight`` (m,), all 1 if not given.
+        ``weight`` (m,), all 1 if not given. From what links differ by (e, 3) their ``usual`` difference is taken off.
         """
         from scipy.sparse.linalg import splu
 
@@ -173,6 +180,8 @@ class DeformationGraph:
         derivative[:, :, 3:6] = np.eye(3)
         derivative[:, :, 9:] = -np.eye(3)
         bent = arm + anchor[j] + pose.shift[j] - anchor[k] - pose.shift[k]
+        if usual is not None:
+            bent = bent - usual
         right += scale * self._scattered(self.link, np.einsum("eac,ea->ec", derivative, bent))
         stiff = scale * (derivative.transpose(0, 2, 1) @ derivative)
 
