@@ -232,9 +232,9 @@ class Bending:
                 unmet = chosen[weight[len(asked) :] < _UNMET]
                 vertex, point = vertex[kept], point[kept]
                 matched = (vertex, cloud.points[point], cloud.normals[point], weight[kept])
-                usual = self._usual(pose, bend, vertex, weight[kept])
+                stays = self._usual(pose, bend, vertex, weight[kept])
                 matched = self._with_pushed(matched, cloud, placed, facing, unmet)
-                pose = self.graph.step(self.rest, pose, *matched[:3], rigidity, ALONG, matched[3], usual)
+                pose = self.graph.step(self.rest, pose, *matched[:3], rigidity, ALONG, matched[3], stays)
                 before, placed = placed, self.place(pose)
                 if np.abs(placed - before).max() < STILL * cloud.spacing:
                     break
@@ -245,7 +245,7 @@ class Bending:
         graph = self.graph
         share = graph.weight[vertex] * weight[:, None]
         held = np.bincount(graph.index[vertex].ravel(), weights=share.ravel(), minlength=len(graph.node))
-        hidden = (held < _UNMET)[graph.link].any(axis=1)
+        hidden = np.any((held < _UNMET)[graph.link], axis=1)
         return np.einsum("eab,eb->ea", pose.rotation[graph.link[:, 0]], bend) * hidden[:, None]
 
     def _contradicted(
