@@ -121,7 +121,7 @@ def test_what_is_bent_as_usual_stays_so(sphere):
     vertices, _, edges = sphere
     graph = DeformationGraph.build(vertices, edges, 12)
     rng = np.random.default_rng(0)
-    pose = Pose(_rotations(0.2 * rng.normal(size=(12, 3))), 0.1 * rng.normal(size=(12, 3)))
+    pose = Pose(rotations(0.2 * rng.normal(size=(12, 3))), 0.1 * rng.normal(size=(12, 3)))
     turn, anchor = rotation([1, 2, 3], 0.7), vertices[graph.node]
     turned = Pose(turn @ pose.rotation, (anchor + pose.shift) @ turn.T - anchor)
     bend = graph.bend(vertices, pose)

@@ -251,8 +251,8 @@ def test_an_edge_is_asked_of_the_frames_that_show_it(mesh: Mesh, state, rng: np.
     # A frame that shows nothing is never heard.
     other, trust[1] = x.copy(), 0.0
     other[1] = rng.normal(size=x[1].shape)
-    heard = (mesh.trusted_rest_rhs(places, y, rotation, trust) for places in (x, other))
-    np.testing.assert_array_equal(*heard)
+    heard = [mesh.trusted_rest_rhs(places, y, rotation, trust) for places in (x, other)]
+    np.testing.assert_array_equal(heard[0], heard[1])
 
 
 def test_frames_that_show_all_say_what_they_say_together_and_what_none_shows_stays(mesh: Mesh, state) -> None:

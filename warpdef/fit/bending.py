@@ -232,7 +232,8 @@ class Bending:
                 unmet = chosen[weight[len(asked) :] < _UNMET]
                 vertex, point = vertex[kept], point[kept]
                 matched = (vertex, cloud.points[point], cloud.normals[point], weight[kept])
-                stays = self._usual(pose, bend, vertex, weight[kept])
+                # A camera hides limbs; where all is seen, what no match holds is lost, and looked for.
+                stays = None if cloud.picture is None else self._usual(pose, bend, vertex, weight[kept])
                 matched = self._with_pushed(matched, cloud, placed, facing, unmet)
                 pose = self.graph.step(self.rest, pose, *matched[:3], rigidity, ALONG, matched[3], stays)
                 before, placed = placed, self.place(pose)
