@@ -10,7 +10,7 @@ import synthetic
 import warpdef
 from warpdef.config import Config, KeyframeConfig
 from warpdef.fit.embedded import Pose
-from warpdef.fit.growing import TURN_PAYS, measure_turn, template_of_all
+from warpdef.fit.growing import ONE_SIDE, measure_turn, template_of_all
 from warpdef.fit.surfels import SeenFrame, Surfels
 from warpdef.geometry.triangles import is_watertight, signed_volume
 
@@ -98,10 +98,10 @@ def test_every_frame_is_told_where_the_mesh_is(grown):
 
 
 def test_one_side_alone_is_told_and_left_to_the_keyframe():
-    assert np.rad2deg(3 * 0.05) < TURN_PAYS
-    points, normals = film(0.05, 4)
-    chosen, note = template_of_all(points, normals, Config(), EYE)
-    assert chosen is None and "only one side is ever seen" in note
+    for step, told in ((0.05, "only one side is ever seen"), (0.4, "too little")):
+        assert (np.rad2deg(3 * step) < ONE_SIDE) == (step == 0.05)
+        chosen, note = template_of_all(*film(step, 4), Config(), EYE)
+        assert chosen is None and told in note
 
 
 def test_a_body_that_is_lost_on_the_way_is_told():
@@ -136,7 +136,7 @@ def test_a_run_on_it_goes_on_from_its_checkpoint_with_the_same_bits(tmp_path: Pa
         refine=replace(config.refine, iterations=2),
         template=replace(config.template, faces_max=1000),
     )
-    clouds, cut = film(STEP, 4, 1600)[0], KeyboardInterrupt("cut")
+    clouds, cut = film(STEP, 5, 1600)[0], KeyboardInterrupt("cut")
 
     def run(**how) -> warpdef.Reconstruction:
         callback = how.pop("callback", None)
