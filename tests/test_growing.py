@@ -13,6 +13,7 @@ from warpdef.fit.embedded import Pose
 from warpdef.fit.growing import ONE_SIDE, measure_turn, template_of_all
 from warpdef.fit.surfels import SeenFrame, Surfels
 from warpdef.geometry.triangles import is_watertight, signed_volume
+from warpdef.template.build import TemplateReport, sheet_note
 
 EYE = np.array([0.0, 0.0, 1.0])
 AXES = np.array([0.6, 0.5, 0.4])
@@ -157,3 +158,9 @@ def test_a_run_on_it_goes_on_from_its_checkpoint_with_the_same_bits(tmp_path: Pa
     again = run(resume=at)
     np.testing.assert_array_equal(again.vertices, whole.vertices)
     assert again.report["warnings"] == whole.report["warnings"]
+
+
+def test_a_sheet_is_called_one():
+    half = TemplateReport("gpytoolbox", surface="open", trimmed=1.1)
+    assert "a sheet of what is seen there: closed, it would have 110% more surface" in sheet_note(half)
+    assert not sheet_note(replace(half, trimmed=0.1)) and not sheet_note(replace(half, surface="closed"))

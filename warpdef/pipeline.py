@@ -44,6 +44,7 @@ from warpdef.quality.assess import assess
 from warpdef.result import Reconstruction
 from warpdef.sequence import PointSequence, Similarity
 from warpdef.shortage import device_memory, explained_shortage, retried
+from warpdef.template.build import sheet_note
 from warpdef.template.choose import ChosenTemplate, accept_user_template, choose_template
 
 _UNSEEN_TOLD = 0.01
@@ -216,7 +217,7 @@ def _own_template(
             return chosen
     chosen = choose_template(clouds, normals, config, view, sequence.places)
     if not note:
-        return chosen
+        return replace(chosen, why=f"{chosen.why}{sheet_note(chosen.report)}")
     ends = "the mesh is a sheet of what is seen" if chosen.report.surface == "open" else "its far side is a guess"
     return replace(chosen, warnings=[f"{note}; {ends}", *chosen.warnings])
 

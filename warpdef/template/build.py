@@ -24,6 +24,7 @@ FLIPPED_WARN = 0.005  # share of given normals; below, it may be the estimate th
 FACES_AIM = 0.97  # of the target, which is an upper bound
 FACES_LEAST = 0.9
 REMESH_ATTEMPTS = 4
+SHEET_TOLD = 0.25  # area beyond the border, over what is kept, from which a mesh is called a sheet
 LEFT_OUT_WARN = 0.02  # share of the surface in components that were dropped
 
 
@@ -59,6 +60,13 @@ class TemplateReport:
     def as_dict(self) -> dict:
         """Plain values for ``report.json``."""
         return asdict(self)
+
+
+def sheet_note(report: TemplateReport) -> str:
+    """What to add to the reason for a keyframe, where its mesh is far from a whole body; else nothing."""
+    if report.surface != "open" or report.trimmed < SHEET_TOLD:
+        return ""
+    return f"; the mesh is a sheet of what is seen there: closed, it would have {report.trimmed:.0%} more surface"
 
 
 @dataclass(frozen=True)
