@@ -185,7 +185,7 @@ class DeformationGraph:
         right += scale * self._scattered(self.link, np.einsum("eac,ea->ec", derivative, bent))
         stiff = scale * (derivative.transpose(0, 2, 1) @ derivative)
 
-        system = self._assembled((index, fit), (self.link, stiff))
+        system = self._assembled((self._of_vertices[vertex], fit), (self._of_links, stiff))
         options = {"SymmetricMode": True}
         solve = splu(system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         move = solve.solve(-right).reshape(count, 6)
@@ -197,18 +197,33 @@ class DeformationGraph:
         own, (j, k) = np.arange(len(self.node)), self.link.T
         return np.unique(np.concatenate([own, j, k]) * len(own) + np.concatenate([own, k, j]))
 
+    @cached_property
+    def _of_vertices(self) -> np.ndarray:
+        """Where in the pattern the pairs of nodes of each vertex are, (V, 16)."""
+        return self._in_pattern(self.index)
+
+    @cached_property
+    def _of_links(self) -> np.ndarray:
+        """The same of each link, (e, 4)."""
+        return self._in_pattern(self.link)
+
+    def _in_pattern(self, node: np.ndarray) -> np.ndarray:
+        pairs = node[:, :, None] * len(self.node) + node[:, None, :]
+        at = np.searchsorted(self._pattern, pairs.reshape(len(node), -1))
+        return np.minimum(at, len(self._pattern) - 1)
+
     def _assembled(self, *parts: tuple[np.ndarray, np.ndarray]) -> csc_matrix:
-        """The sum of symmetric matrices (m, 6 p, 6 p) at nodes (m, p); those of nodes without a link are zero."""
+        """The sum of symmetric matrices (m, 6 p, 6 p) at pairs of p nodes (m, p p); without any, 1e-12 of the unit."""
         from scipy.sparse import bsr_matrix, csc_matrix, csr_matrix
 
         count, pattern = len(self.node), self._pattern
         blocks = np.zeros((len(pattern), 36))
-        for node, matrices in parts:
-            m, p = node.shape
+        for pairs, matrices in parts:
+            m, p = len(pairs), matrices.shape[1] // 6
             each = matrices.reshape(m, p, 6, p, 6).transpose(0, 1, 3, 2, 4).reshape(-1, 36)
-            at = np.searchsorted(pattern, (node[:, :, None] * count + node[:, None, :]).ravel())
-            at = np.minimum(at, len(pattern) - 1)
-            gather = csr_matrix((np.ones(len(at)), (at, np.arange(len(at)))), shape=(len(pattern), len(at)))
+            gather = csr_matrix(
+                (np.ones(pairs.size), (pairs.ravel(), np.arange(pairs.size))), (len(pattern), pairs.size)
+            )
             blocks += gather @ each
         # Nodes that nothing holds, on their own in a component, stay.
         row, column = np.divmod(pattern, count)
