@@ -23,6 +23,7 @@ The vertex stage, which begins where the grids end:
 
     pairs                   vertices and cloud points paired, as all of its terms see them
     planes, borders         residuals to the clouds, and across the border of an open mesh
+    mixture                 noisy points, which ask all vertices around them
     unseen, landmarks       what holds a vertex where a frame has no points; where it is known to be
     rigidity                how edges turn with their vertices; on the CPU rotation_lanes, edge_lanes
     block_cg, block_serial  the solve for all moves at once; on one CPU core

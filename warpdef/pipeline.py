@@ -18,6 +18,7 @@ import warp as wp
 
 import warpdef
 from warpdef.appearance import Appearance
+from warpdef.cleaning.wide_noise import without_wide_noise
 from warpdef.config import Config
 from warpdef.device import device_warnings, load_kernels, team_size, usable_cores
 from warpdef.errors import MissingPackageError
@@ -97,7 +98,10 @@ def reconstruct(
     with clock.phase("template"):
         view = viewing_direction(in_cube()) if any(n is None for n in sequence.normals) else None
         eye = None if view is None else camera_place(in_cube(), view)
-        chosen = _template(sequence, template, into, config, saved, view)
+        scattered, calm = None, sequence
+        if view is None and not config.optimiser.chain:
+            scattered, calm = without_wide_noise(sequence, into, config.template.neighbours)
+        chosen = _template(calm, template, into, config, saved, view)
     for warning in (*sequence.warnings, *chosen.warnings):
         tell(Progress("template", message=warning))
 
@@ -113,9 +117,9 @@ def reconstruct(
         tell(Progress("compile", message=told[-1] if told else ""))
         with closing(Team(team_size(target, threads))) as team, explained_shortage(estimate, target):
             with clock.phase("compile"):
-                clouds, mesh = in_cube(), chosen.mesh
-                normals = _surface_normals(clouds, sequence.normals, config, view, target)
-                given = [n is not None or view is not None for n in sequence.normals]
+                clouds, mesh = [into.to_cube(p) for p in calm.points], chosen.mesh
+                normals = _surface_normals(clouds, calm.normals, config, view, target)
+                given = [n is not None or view is not None for n in calm.normals]
                 keyframe = sequence.numbers.index(chosen.keyframe)
                 steady = replace(config, optimiser=config.optimiser.for_length(len(clouds)))
                 if sequence.order:  # no film
@@ -123,7 +127,7 @@ def reconstruct(
                 ends = mesh.vertices, mesh.faces, keyframe
                 times = sequence.times or range(sequence.frame_count)
                 times = None if sequence.order else [times[number] for number in sequence.numbers]
-                problem = Problem(clouds, normals, *ends, steady, target, given, eye, times)
+                problem = Problem(clouds, normals, *ends, steady, target, given, eye, times, scattered)
                 optimiser = Optimiser(problem, config.optimiser.total(len(clouds)), team)
                 del clouds, normals
                 refinement = (

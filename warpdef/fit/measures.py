@@ -22,16 +22,23 @@ class CloudMeasures:
     Args:
         clouds: T arrays (N_t, 3), along a curve that fills space (``morton``).
         surface_area: of the template, in the square of their unit.
-        share: of the fullest frame's area, from which a frame is complete.
+        share: of the fullest frame's area, from which a frame is complete. measured: the same clouds with their noise,
+            where ``clouds`` are without.
         device: where neighbours are looked for; None: on the host, without Warp.
     """
 
     def __init__(
-        self, clouds: list[np.ndarray], surface_area: float, share: float, device: wp.Device | None = None
+        self,
+        clouds: list[np.ndarray],
+        surface_area: float,
+        share: float,
+        device: wp.Device | None = None,
+        measured: list[np.ndarray] | None = None,
     ) -> None:
         self._device = device
         self._clouds, self._surface_area, self._share = clouds, surface_area, share
         self._sizes = np.array([len(c) for c in clouds])
+        self._measured = measured
 
     @cached_property
     def spacing(self) -> np.ndarray:
@@ -51,14 +58,17 @@ class CloudMeasures:
     @cached_property
     def _local_shape(self) -> np.ndarray:
         """Spacing, thickness and area of every frame, shape (3, T)."""
-        found = []
-        for cloud in self._clouds:
-            near = Fellows(cloud, AREA_NEIGHBOURS, -(-len(cloud) // _ASKED), self._device)
-            distance, (thin, wide, _) = near.distance, np.sqrt(np.median(near.planes()[1], axis=0))
-            area = area_of_discs(distance) * len(cloud) / len(distance)
-            found.append((distance[:, 1].mean(), thin / max(wide, 1e-12), area))
-        self._clouds = []  # nothing else is asked of them
-        return np.array(found).T
+        found = np.array([self._shape_of(cloud) for cloud in self._clouds]).T
+        if self._measured is not None:
+            found[1] = [self._shape_of(cloud)[1] for cloud in self._measured]
+        self._clouds, self._measured = [], None  # nothing else is asked of them
+        return found
+
+    def _shape_of(self, cloud: np.ndarray) -> tuple[float, float, float]:
+        near = Fellows(cloud, AREA_NEIGHBOURS, -(-len(cloud) // _ASKED), self._device)
+        distance, (thin, wide, _) = near.distance, np.sqrt(np.median(near.planes()[1], axis=0))
+        area = area_of_discs(distance) * len(cloud) / len(distance)
+        return distance[:, 1].mean(), thin / max(wide, 1e-12), area
 
 
 def border_of(faces: np.ndarray, vertex_count: int) -> np.ndarray | None:

@@ -16,10 +16,12 @@ from warpdef.device import on_host
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import Problem, span
 from warpdef.kernels.borders import cloud_borders, vertex_borders
+from warpdef.kernels.mixture import clear_equations, mixture_planes
 from warpdef.kernels.pairs import pairs_of
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 
 _OPPOSED_MAX = 0.01  # share of given normals against the mesh that is taken for contact, not for flips
+_POINT = 4.0  # weight of a noisy point, which all vertices around share, against one plane
 _NOISE_MAX = 1.25  # rigidity grows no further
 _FOLDED = 0.05  # weight of a vertex in a fold that a complete frame does not have, against one plane
 _BORDER = 0.1  # weight of a residual across the border against one plane: a border is sampled sparsely, hence noisy
@@ -59,6 +61,9 @@ class Pairing:
         if p.border is not None:
             border = wp.array(p.border.astype(np.int32), dtype=wp.int32, ndim=2, device=p.device)
             self._border = border, p.numbers(_BORDER_GAP * p.measures.spacing)
+        self._mixture: tuple[wp.array, wp.array, wp.array] | None = None
+        if p.scattered is not None:
+            self._mixture = p.scattered.points, p.scattered_frame, p.deviation
         self.doubtful = p.integers(~p.oriented)
         self.given_normals = p.normals.numpy().copy()
 
@@ -92,6 +97,17 @@ class Pairing:
         vertex_normals(begin, count, *self._faces, self._vertices, self._normals)
         self._correspondences.find((first, last), (first, last))
 
+    def scattered(self, first: int, last: int, matrix_out: wp.array, rhs_out: wp.array) -> None:
+        """The same of noisy clouds as they were measured: every point asks all vertices that it may come from."""
+        p = self._problem
+        assert p.scattered is not None and self._mixture is not None
+        begin, count = first * p.vertex_count, (last - first) * p.vertex_count
+        clear_equations(begin, count, matrix_out, rhs_out)
+        grid, points = self._correspondences.grid, span(p.scattered.offsets, first, last)
+        sums = matrix_out, rhs_out
+        mixture_planes(*points, _POINT, *self._mixture, grid.targets, self._normals.flatten(), *sums)
+        self._across_borders((begin, count), span(p.cloud_offsets, first, last), *sums)
+
     def equations(self, first: int, last: int, matrix_out: wp.array, rhs_out: wp.array) -> None:
         """What the pairs of frames ``first .. last`` ask for: normal equations, written, not added.
 
@@ -103,8 +119,13 @@ class Pairing:
         points, sums = span(p.cloud_offsets, first, last), (matrix_out, rhs_out)
         vertex_planes(*vertices, self.met, *sums)
         cloud_planes(*points, self.asked, *sums)
+        self._across_borders(vertices, points, *sums)
+
+    def _across_borders(
+        self, vertices: tuple[int, int], points: tuple[int, int], matrix_out: wp.array, rhs_out: wp.array
+    ) -> None:
         if self._border is not None:
-            border, gap = self._border
+            (border, gap), sums = self._border, (matrix_out, rhs_out)
             vertex_borders(*vertices, self.met, border, _BORDER, gap, *sums)
             cloud_borders(*points, self.asked, border, _BORDER, *sums)
 

@@ -19,6 +19,7 @@ from warpdef.device import way_of
 from warpdef.fit.measures import CloudMeasures, border_of, mean_edge_length
 from warpdef.fit.morton import morton_order
 from warpdef.fit.pool import Pool
+from warpdef.geometry.denoise import Scattered
 from warpdef.geometry.sampling import spread_evenly
 from warpdef.geometry.triangles import face_areas, unique_edges
 from warpdef.kernels import ways
@@ -50,6 +51,7 @@ class Problem:
         eye: place of the camera, (3,), where one saw all clouds: normals are on its side beyond doubt, and no frame
             shows all. None: there is no such camera.
         times: of the frames, (T,), ascending, in any unit; None: one apart.
+        scattered: noisy clouds as they were measured, of which ``clouds`` are the surfaces; None where that is the same.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class Problem:
         oriented: Sequence[bool] | None = None,
         eye: np.ndarray | None = None,
         times: Sequence[float] | None = None,
+        scattered: Sequence[Scattered] | None = None,
     ) -> None:
         self.config, self.device, self.way, self.pool = config, device, way_of(device), Pool(device)
         self.transitions = Transitions.away_from(keyframe, len(clouds))
@@ -77,6 +80,9 @@ class Problem:
         self._lay_clouds(clouds, normals)
         self._lay_sample(clouds, normals)
         self._lay_template(vertices, faces)
+        self.scattered: Clouds | None = None
+        if scattered is not None:
+            self._lay_scattered(scattered)
         self.oriented = np.ones(len(clouds), dtype=bool) if oriented is None else np.asarray(oriented)
         self.kept = self._keep_nodes(clouds)
 
@@ -110,6 +116,14 @@ class Problem:
         self.moved_transition = self.integers(np.repeat(np.arange(len(source)), self.moved_sizes))
         self.moved_target = self.integers(np.repeat(self.transitions.target, self.moved_sizes))
 
+    def _lay_scattered(self, scattered: Sequence[Scattered]) -> None:
+        """Noisy clouds as they were measured."""
+        clouds = [s.points[morton_order(s.points)] for s in scattered]
+        sizes, flat = np.array([len(c) for c in clouds]), self.vectors(np.concatenate(clouds))
+        self.scattered = Clouds(flat, flat, sizes, _offsets(sizes))
+        self.scattered_frame = self.integers(np.repeat(np.arange(len(clouds)), sizes))
+        self.deviation = self.numbers(np.array([s.deviation for s in scattered]))
+
     def _lay_template(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         # Vertices travel in Morton order; `place` takes results back to the template's own order.
         order = morton_order(vertices)
@@ -138,7 +152,11 @@ class Problem:
         """Of the clouds, against the template's area."""
         area = float(face_areas(self.template, self.faces).sum())
         least = np.inf if self.seen else self.config.keyframe.coverage_min
-        return CloudMeasures(np.split(self.cloud.numpy(), self.cloud_offsets[1:-1]), area, least, self.device)
+        measured = None
+        if self.scattered is not None:
+            measured = np.split(self.scattered.points.numpy(), self.scattered.offsets[1:-1])
+        clouds = np.split(self.cloud.numpy(), self.cloud_offsets[1:-1])
+        return CloudMeasures(clouds, area, least, self.device, measured)
 
     @cached_property
     def border(self) -> np.ndarray | None:

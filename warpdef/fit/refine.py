@@ -187,7 +187,7 @@ class Refinement:
 
     # Tasks.
 
-    def _fit_frames(self, first: int, last: int) -> None:
+    def _fit_frames(self, first: int, last: int, together: bool = False) -> None:
         """Pair, solve for the moves that the pairs, the edges and the frames around ask for, and turn with them."""
         o = self.objective
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
@@ -195,7 +195,10 @@ class Refinement:
         if self.unseen.trust is not None:
             self.unseen.look(first, last, self.pairing)
         sums = (self._matrix.flatten(), self._rhs.flatten())
-        self.pairing.equations(first, last, *sums)
+        if together and self.problem.scattered is not None:
+            self.pairing.scattered(first, last, *sums)
+        else:
+            self.pairing.equations(first, last, *sums)
         if self.unseen:
             self.unseen.hold(first, last, self.pairing, *sums)
         if self.landmarks is not None:
@@ -222,7 +225,7 @@ class Refinement:
     def _phases(self, smooth: bool = False) -> list[Phase]:
         frames, runs = self.problem.frame_spans(), self.problem.vertex_spans()
         phases: list[tuple[str, list[Callable[[], None]]]] = [
-            ("frames", [partial(self._fit_frames, a, b) for a, b in frames]),
+            ("frames", [partial(self._fit_frames, a, b, True) for a, b in frames]),
             ("edges", [partial(self.shape.ask, a, b) for a, b in runs]),
             ("shape", [self.shape.solve]),
         ]

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import warp as wp
 
 CELL_SPACINGS = 1.0  # grid cell, in mean point spacings
+CELL_NOISE = 1.4  # and of noisy clouds, in noise
 SMOOTH_CELLS = 0.85  # Gaussian on the grid, standard deviation in cells
 CELLS_MAX = 6_000_000  # beyond, the cell grows: 0.4 GB
 CLEAR_PLANES = 0.8  # median clarity of a cloud's planes: 0.95 clean, 0.7 with noise of half a percent; above, ...
@@ -66,7 +67,7 @@ def pca_normals(points: np.ndarray, neighbours: int = 16, device: wp.Device | No
     return Fellows(points, max(neighbours, 4), device=device).planes()[0]
 
 
-def estimate_normals(points: np.ndarray, neighbours: int = 16) -> np.ndarray:
+def estimate_normals(points: np.ndarray, neighbours: int = 16, noise: float = 0.0) -> np.ndarray:
     """Outward unit normals of a cloud that samples a closed surface, shape (N, 3) float64.
 
     Where the body is thinner, or a gap narrower, than about one point spacing, no method can tell the sides apart.
@@ -76,16 +77,19 @@ def estimate_normals(points: np.ndarray, neighbours: int = 16) -> np.ndarray:
     Args:
         points: shape (N, 3), any units.
         neighbours: points a local plane is fitted to; at most N are used.
+        noise: of the points across the surface, their units, where it is wider than their spacing: no finer than that
+            is the grid, and no local plane says more than the field does.
     """
     if len(points) > SIDED:
         few = spread_evenly(points, SIDED)
-        sides = _of_nearest(points, few, estimate_normals(points[few], neighbours))
-        return _detail(_Neighbourhood.of(points, neighbours), sides)
+        sides = _of_nearest(points, few, estimate_normals(points[few], neighbours, noise))
+        return sides if noise else _detail(_Neighbourhood.of(points, neighbours), sides)
     near = _Neighbourhood.of(points, neighbours)
     clarity = _fit_planes(near.points, near.index, np.ones(near.index.shape))[1]
-    clear = float(np.median(clarity)) > CLEAR_PLANES
-    field = _CurlFreeField(near.points, CELL_SPACINGS * near.spacing)
-    return _estimated(near, field, _CurlFreeField(near.points, START_SPACINGS * near.spacing) if clear else field)
+    clear = not noise and float(np.median(clarity)) > CLEAR_PLANES
+    field = _CurlFreeField(near.points, max(CELL_SPACINGS * near.spacing, CELL_NOISE * noise))
+    at_first = _CurlFreeField(near.points, START_SPACINGS * near.spacing) if clear else field
+    return _estimated(near, field, at_first, planes=not noise)
 
 
 def _of_nearest(points: np.ndarray, few: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -95,13 +99,16 @@ def _of_nearest(points: np.ndarray, few: np.ndarray, normals: np.ndarray) -> np.
     return normals[cKDTree(points[few]).query(points)[1]]
 
 
-def _estimated(near: _Neighbourhood, field: _CurlFreeField, at_first: _CurlFreeField) -> np.ndarray:
-    """The same, from the grid on which it starts."""
+def _estimated(
+    near: _Neighbourhood, field: _CurlFreeField, at_first: _CurlFreeField, planes: bool = True
+) -> np.ndarray:
+    """The same, from the grid on which it starts; without local planes it is the field's word."""
     side = _sharpened(near, field, _unit(_least_norm_start(at_first, near.area)), SHARPEN_ITERATIONS)
-    normals = _detail(near, side)
+    normals = _detail(near, side) if planes else side
     if _discord(near, normals) > DISCORD_DOUBTED:
         # A flat open sheet has no inside, and the field cuts it into patches: there, a walk does better.
-        walked = _detail(near, _walk(near, side))
+        walked = _walk(near, side)
+        walked = _detail(near, walked) if planes else walked
         if _discord(near, walked) < DISCORD_GAIN * _discord(near, normals):
             return walked
     return normals

@@ -16,6 +16,7 @@ import numpy as np
 
 from warpdef.cloud import SPACING_NEIGHBOURS
 from warpdef.geometry.closest import closest_on_surface
+from warpdef.geometry.noise import noise_level
 from warpdef.geometry.triangles import face_areas, vertex_normals
 
 COVERED = 3.0
@@ -27,10 +28,6 @@ OTHER_SIDE = -0.25
 _SPACING = 0.5 * np.sqrt(np.pi / SPACING_NEIGHBOURS)  # mean distance to the first neighbour over that to the 8th
 _SAME_WAY = 0.5  # cosine between the normals of a vertex and of its point's place above which they face one way
 _APART = 1.5  # times the distance, plus a length: what was that far apart in the shape does not belong together
-_JUDGED = 200  # points whose neighbourhoods tell the noise
-_FLAT = ((16, 0.5), (48, 0.75), (144, np.inf))
-"""Neighbours asked for the noise, and thickness over width up to which they are believed: noise wider than a
-neighbourhood makes it a ball (0.8), and the next larger one is asked."""
 
 
 @dataclass(frozen=True)
@@ -108,23 +105,6 @@ def doubled_vertices(
     hidden[near] = apart & ~coverage.seen[near]
     layered[near] = apart & (cosine > _SAME_WAY)
     return hidden, layered
-
-
-def noise_level(points: np.ndarray, tree, rng: np.random.Generator) -> float:
-    """Standard deviation of the points (N, 3) across their surface, the points' units; ``tree`` is a k-d tree of them.
-
-    What a surface bends within a neighbourhood counts as noise, so that it is never far below a third of the spacing.
-    """
-    asked = points if len(points) <= _JUDGED else points[rng.choice(len(points), _JUDGED, replace=False)]
-    thickness = np.zeros(1)
-    for count, flat in _FLAT:
-        near = points[tree.query(asked, k=min(count, len(points)))[1]]
-        near = near - near.mean(axis=1, keepdims=True)
-        spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near) / near.shape[1])
-        thickness, width = np.sqrt(np.maximum(spread[:, :2], 0.0)).T
-        if np.median(thickness) <= flat * np.median(width):
-            break
-    return float(np.median(thickness))
 
 
 def measure_coverage(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> Coverage:
