@@ -89,7 +89,7 @@ def _clear_equations(
 
 
 def clear_equations(begin: int, count: int, matrix_out: wp.array, rhs_out: wp.array) -> None:
-    """Zero the normal equations of vertices ``begin .. begin + count``: matrix_out (T V,) mat33, rhs_out (T V,) vec3."""
+    """Zero the normal equations of vertices ``begin .. begin + count``; (T V,) mat33 and (T V,) vec3."""
     launch(_clear_equations, count, [begin, matrix_out, rhs_out], matrix_out.device)
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from warpdef.geometry.noise import noise_level
 from warpdef.geometry.sampling import sample_surface
 from warpdef.quality import assess as quality
 from warpdef.quality.assess import Assessment
-from warpdef.geometry.noise import noise_level
 from warpdef.quality.coverage import measure_coverage
 from warpdef.quality.frame import FrameQuality
 from warpdef.quality.shape import ReferenceShape, neighbouring_faces, opposite_vertices

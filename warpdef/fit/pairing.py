@@ -3,7 +3,8 @@
 A vertex pairs with its nearest cloud point, and a cloud point with its nearest vertex (``kernels.pairs``): by the angle
 of their normals, by their distance against the reach (a multiple of the cloud's spacing), and of a vertex by the way
 back. The noisier the clouds (measured by how thick they are locally), the less their own normals count. The border of
-an open mesh reaches for where the points end (``kernels.borders``).
+an open mesh reaches for where the points end (``kernels.borders``). Points whose
+noise is wider than their spacing have no one partner (``kernels.mixture``).
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ class Problem:
         eye: place of the camera, (3,), where one saw all clouds: normals are on its side beyond doubt, and no frame
             shows all. None: there is no such camera.
         times: of the frames, (T,), ascending, in any unit; None: one apart.
-        scattered: noisy clouds as they were measured, of which ``clouds`` are the surfaces; None where that is the same.
+        scattered: noisy clouds as they were measured, of which ``clouds`` are the surfaces; None where these are.
     """
 
     def __init__(

@@ -7,8 +7,9 @@ moves on its own, by Gauss-Newton on
 
 with symmetric point-to-plane residuals r both ways, a rotation R a vertex and frame, and one rest shape y for all
 frames. y is an unknown like the others (``rest_shape``). The noisier the clouds, the stiffer. Pairs and their planes
-come from ``pairing``; what a frame does not show is held by the frames around it (``unseen``). In the last rounds a
-second solve draws vertices to places that are smooth in time (``smoothness``).
+come from ``pairing``, in rounds over clouds whose noise is wide from every point and all vertices around it; what a
+frame does not show is held by the frames around it (``unseen``). In the last rounds a second solve draws vertices to
+places that are smooth in time (``smoothness``).
 
 A round is three phases: every frame pairs, solves for its moves and fits its rotations; every vertex asks the frames
 that show all of the surface for its edges, or all frames if none does; the shape is solved for. Where an incomplete
@@ -188,7 +189,10 @@ class Refinement:
     # Tasks.
 
     def _fit_frames(self, first: int, last: int, together: bool = False) -> None:
-        """Pair, solve for the moves that the pairs, the edges and the frames around ask for, and turn with them."""
+        """Pair, solve for the moves that the pairs, the edges and the frames around ask for, and turn with them.
+
+        Of noisy clouds a frame alone meets the surface that its points scatter around, all ``together`` the points.
+        """
         o = self.objective
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
         self.pairing.find(first, last)

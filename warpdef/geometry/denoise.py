@@ -40,7 +40,7 @@ _PROJECTIONS = 2
 _STEP_MAX = 1.5  # widths
 _SPREAD_NEIGHBOURS = 12  # thinned points whose normals a point takes
 _RIDGE = 1e-6
-_CHUNK = 4096
+_CHUNK = 1024  # places at a time, for memory
 
 
 @dataclass(frozen=True)
