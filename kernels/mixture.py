@@ -21,7 +21,7 @@ from warpdef.kernels.sizes import sizes
 
 wp.set_module_options(MODULE_OPTIONS)
 
-_REACH = wp.constant(3.0)  # standard deviations
+_ASKED_WITHIN = wp.constant(3.0)  # standard deviations
 _NOTHING = wp.constant(0.05)  # u: a vertex 2.4 of them away says as much
 
 
@@ -45,7 +45,7 @@ def _mixture_planes(
     q = cloud[i]
     group = frame[i]
     s = deviation[group]
-    reach = _REACH * s
+    reach = _ASKED_WITHIN * s
     cells = targets.cells
     x0 = axis_cell(q[0] - reach, cells.lower[0], cells.size, cells.nx)
     x1 = axis_cell(q[0] + reach, cells.lower[0], cells.size, cells.nx) + 1

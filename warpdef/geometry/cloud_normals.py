@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import warp as wp
 
 CELL_SPACINGS = 1.0  # grid cell, in mean point spacings
-CELL_NOISE = 1.4  # and of noisy clouds, in noise
+CELL_NOISE = 1.0  # and of clouds with wide noise, in noise
 SMOOTH_CELLS = 0.85  # Gaussian on the grid, standard deviation in cells
 CELLS_MAX = 6_000_000  # beyond, the cell grows: 0.4 GB
 CLEAR_PLANES = 0.8  # median clarity of a cloud's planes: 0.95 clean, 0.7 with noise of half a percent; above, ...

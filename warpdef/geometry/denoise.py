@@ -31,7 +31,7 @@ _SPACED = 5000  # points that tell the spacing
 POINTS = 5000  # of what a cloud is made to: more say no more of a surface as smooth as the noise leaves it
 _ASKED = 200  # points that tell the density
 _BALL = 2.5  # radius in which they count points, in noise
-_HELD = 20.0  # points held there by clouds as dense as they are noisy, whose sides are told well
+_HELD = 30.0  # points held there by clouds as dense as they are noisy, whose sides are told well
 _MEAN_OF = 4  # points of the cloud a thinned one is the mean of, times the thinning
 _WIDTH, _WIDTH_FALL, _WIDTHS = 2.4, 0.2, (1.0, 3.0)  # of the Gaussian, in noise, at that density; denser, narrower
 _REACHED = 2.0  # widths up to which points are asked for
@@ -71,7 +71,7 @@ def denoised(points: np.ndarray, noise: float, neighbours: int = 16) -> tuple[np
         neighbours: as in ``estimate_normals``, of the thinned cloud.
 
     Returns:
-        At most ``POINTS`` or as many as the noise can tell apart, (M, 3) float64, and normals (M, 3).
+        At most ``POINTS``, or half as many as the noise leaves apart, (M, 3) float64, and normals (M, 3).
     """
     from scipy.spatial import cKDTree
 
@@ -82,7 +82,7 @@ def denoised(points: np.ndarray, noise: float, neighbours: int = 16) -> tuple[np
     density = held / _HELD
     thinned = int(np.clip(len(points) / density, min(1000, len(points)), len(points)))
     normals = _sides(points, tree, order[:thinned], noise, neighbours)
-    chosen = np.sort(order[: max(thinned, min(POINTS, len(points)))])
+    chosen = np.sort(order[: max(thinned // 2, POINTS)])
     width = noise * float(np.clip(_WIDTH * density**-_WIDTH_FALL, *_WIDTHS))
     return _project(points, normals, tree, chosen, width)
 
