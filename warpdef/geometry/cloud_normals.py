@@ -38,6 +38,7 @@ CELLS_MAX = 6_000_000  # beyond, the cell grows: 0.4 GB
 CLEAR_PLANES = 0.8  # median clarity of a cloud's planes: 0.95 clean, 0.7 with noise of half a percent; above, ...
 START_SPACINGS = 1.5  # ... signs can be taken from a grid as coarse as this, with a third of the cells
 REGULARISATION = 5.0  # of the start, relative to the mean diagonal: high enough for noise of one spacing
+REGULARISATION_NOISY = 15.0  # and of clouds with wide noise, which no normals explain: with less, round ones turn over
 START_ITERATIONS = 20
 START_TOLERANCE = 1e-2  # only signs are taken from the start
 SHARPEN_ITERATIONS = 5
@@ -103,7 +104,8 @@ def _estimated(
     near: _Neighbourhood, field: _CurlFreeField, at_first: _CurlFreeField, planes: bool = True
 ) -> np.ndarray:
     """The same, from the grid on which it starts; without local planes it is the field's word."""
-    side = _sharpened(near, field, _unit(_least_norm_start(at_first, near.area)), SHARPEN_ITERATIONS)
+    start = _least_norm_start(at_first, near.area, REGULARISATION if planes else REGULARISATION_NOISY)
+    side = _sharpened(near, field, _unit(start), SHARPEN_ITERATIONS)
     normals = _detail(near, side) if planes else side
     if _discord(near, normals) > DISCORD_DOUBTED:
         # A flat open sheet has no inside, and the field cuts it into patches: there, a walk does better.
@@ -362,7 +364,7 @@ class _CurlFreeField:
         return np.stack([self._gather(potential * k)[0] for k in self._k], axis=1)
 
 
-def _least_norm_start(field: _CurlFreeField, area: np.ndarray) -> np.ndarray:
+def _least_norm_start(field: _CurlFreeField, area: np.ndarray, regularisation: float = REGULARISATION) -> np.ndarray:
     """The shortest normals (N, 3) with chi = 1/2 on every point, regularised: A W A^T + r I by conjugate gradients."""
 
     def apply(charges: np.ndarray) -> np.ndarray:
@@ -370,7 +372,7 @@ def _least_norm_start(field: _CurlFreeField, area: np.ndarray) -> np.ndarray:
 
     # Mean diagonal by a random probe of signs.
     probe = np.random.default_rng(0).choice([-1.0, 1.0], len(area))
-    damping = REGULARISATION * abs(_dot(probe, apply(probe))) / len(area)
+    damping = regularisation * abs(_dot(probe, apply(probe))) / len(area)
     charges = np.zeros(len(area))
     residual = np.full(len(area), 0.5)
     direction, start_sq = residual.copy(), _dot(residual, residual)
