@@ -57,16 +57,20 @@ def scene(rng: np.random.Generator):
     return cloud, np.repeat([0, 1], 30), np.array([0.2, 0.3]), vertices, normals
 
 
-def test_equations_match_the_twin(scene, device: str) -> None:
-    pairs = residuals(*scene)
-    assert 5.0 < len(pairs.owner) / len(scene[0]) < 100.0
-    for found, expected in zip(run(*scene, device, cuts=(0, 13, 30)), pairs.normal_equations(400), strict=True):
+def test_equations_match_the_twin(scene: tuple[np.ndarray, ...], device: str) -> None:
+    cloud, frame, deviation, vertices, normals = scene
+    pairs = residuals(cloud, frame, deviation, vertices, normals)
+    assert 5.0 < len(pairs.owner) / len(cloud) < 100.0
+    sums = run(cloud, frame, deviation, vertices, normals, device, cuts=(0, 13, 30))
+    for found, expected in zip(sums, pairs.normal_equations(400), strict=True):
         np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5)
 
 
-def test_the_right_hand_side_is_half_the_descent(scene, device: str) -> None:
-    rhs = run(*scene, device)[1]
-    assert_gradients_close(-2.0 * rhs, finite_differences(residuals(*scene).energy, np.zeros((400, 3))))
+def test_the_right_hand_side_is_half_the_descent(scene: tuple[np.ndarray, ...], device: str) -> None:
+    cloud, frame, deviation, vertices, normals = scene
+    rhs = run(cloud, frame, deviation, vertices, normals, device)[1]
+    energy = residuals(cloud, frame, deviation, vertices, normals).energy
+    assert_gradients_close(-2.0 * rhs, finite_differences(energy, np.zeros((400, 3))))
 
 
 def test_a_curved_surface_is_not_drawn_outwards(rng: np.random.Generator, device: str) -> None:
