@@ -49,6 +49,7 @@ from warpdef.template.build import sheet_note
 from warpdef.template.choose import ChosenTemplate, accept_user_template, choose_template
 
 _UNSEEN_TOLD = 0.01
+_TORN = 0.25  # share beyond the points: noise of 2 % leaves 0.1 over a body; of an open sheet half and more
 
 
 def reconstruct(
@@ -101,7 +102,8 @@ def reconstruct(
         scattered, calm = None, sequence
         if view is None and not config.optimiser.chain:
             scattered, calm = without_wide_noise(sequence, into, config.template.neighbours)
-        chosen = _template(calm, template, into, config, saved, view)
+        judged = config if scattered is None else _torn_by_noise(config)
+        chosen = _template(calm, template, into, judged, saved, view)
     for warning in (*sequence.warnings, *chosen.warnings):
         tell(Progress("template", message=warning))
 
@@ -181,6 +183,12 @@ def reconstruct(
 
     sizes = [len(p) for p in sequence.points]
     return fit(config, []) if saved is not None else retried(fit, config, sizes, estimate, target)
+
+
+def _torn_by_noise(config: Config) -> Config:
+    """For templates of noisy clouds: these leave holes over a closed body, which are no borders."""
+    far = max(config.template.far_share_max, _TORN)
+    return replace(config, template=replace(config.template, far_share_max=far))
 
 
 def _template(
