@@ -129,8 +129,8 @@ def test_smooth_noise_is_taken_back_to_the_surface(device: str, rng: np.random.G
 def test_the_frames_fill_in_one_shape(device: str, rng: np.random.Generator) -> None:
     """A template squashed across; odd frames see one end only, even ones the other: what one misses, the others know.
 
-    Without the common shape's step what is unseen gets what reaches over the rim, and the shape stays as it was. Time is
-    off, through which frames tell each other as well.
+    Without the common shape's step what is unseen gets what reaches over the rim, and the shape stays as it was.
+    Time is off, through which frames tell each other as well.
     """
     ends = [lambda p: p[:, 0] < 0.05, lambda p: p[:, 0] > -0.05]
     scene = MovingEllipsoid.make(6, 600, rng, seen=lambda t, p: ends[t % 2](p))

@@ -18,6 +18,7 @@ Without the paper's chain the mesh then follows the grids, frame by frame:
 
     follow                      outwards from the keyframe, by ``refine`` and, what is lost, by ``recover``
     bending, transport          the same where one camera saw a part of the surface; matches that give each its share
+    sliding                     a mesh that hangs over the end of its cloud goes back along itself
     recover, embedded           lost limbs found again by matches; a mesh bent by a few hundred rigid pieces
 
 The vertex stage, which ends the fit:

@@ -118,6 +118,11 @@ class Bending:
         self._chosen, self._coarse, self._sharing = (_spread(rest, count) for count in (POINTS, COARSE, SHARED))
         self._edges, self._lengths = edges, edge_lengths(rest, edges)
 
+    @property
+    def matched(self) -> np.ndarray:
+        """Vertices that are matched, spread evenly; at most ``POINTS``."""
+        return self._chosen
+
     def still(self) -> Pose:
         """The pose of the mesh at rest."""
         return Pose.identity(len(self.graph.node))

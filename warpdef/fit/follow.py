@@ -5,8 +5,8 @@ show. But each transition's own grid is good: it takes cloud to cloud without th
 inner neighbour, already fitted, moved by the one transition between them, and is fitted by a few rounds of the vertex
 stage before the next. Where that leaves points uncovered, the neighbour's mesh is bent by the matches of one connected
 part (``recover``); where it still does, or the mesh is stretched to cover them, the template is bent from the
-neighbour's pose, coarse to fine (``bending``). What fits better is kept; what stays lost is tried once more from the
-frame behind it.
+neighbour's pose, coarse to fine (``bending``). A mesh that hangs over the end of its cloud is slid back (``sliding``).
+What fits better is kept; what stays lost is tried once more from the frame behind it.
 
 What one camera saw is followed without the grids: the template itself is bent onto one frame after the other
 (``bending``), each from the pose of its inner neighbour, before the vertex stage fits it.
@@ -26,6 +26,7 @@ from warpdef.fit.objective import Objective
 from warpdef.fit.problem import span
 from warpdef.fit.recover import Cloud, ConnectedSurface, Search
 from warpdef.fit.refine import Refinement
+from warpdef.fit.sliding import Hanging, far_share, slide
 from warpdef.geometry.cloud_normals import turned_to
 from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.nearby import Nearest
@@ -174,15 +175,38 @@ class _Walk:
         """Other ways to a frame from its neighbour, where the one taken went wrong."""
         if self.search.lost(frame):
             self._bend(frame, neighbour)
-        if self._wrong(frame) and not self.problem.config.optimiser.chain:
+        if self.problem.config.optimiser.chain:
+            return
+        if self._wrong(frame):
             self._turn(frame, neighbour)
+        self._slide(frame, neighbour)
 
     def _turn(self, frame: int, neighbour: int) -> None:
         """The template bent onto a frame from its neighbour's pose, and settled; kept if it fits better."""
-        cloud = self._clouds[frame] if self._clouds[frame].oriented else self._clouds[frame].turned_outwards()
-        start = self.bending.pose_of(self.search.vertices[neighbour])
+        cloud, near = self._clouds[frame], self.search.vertices[neighbour]
+        if not cloud.oriented:
+            cloud = cloud.turned_outwards(near, self.problem.faces)
+        start = self.bending.pose_of(near)
         pose = self.bending.onto(SeenCloud.of(cloud.points, cloud.normals), start)
         self._attempt(frame, neighbour, self.bending.place(pose), self._misfit, self._misfit(frame))
+
+    def _slide(self, frame: int, neighbour: int) -> None:
+        """A frame whose mesh hangs over its cloud slid back, and settled; kept if it fits better."""
+        cloud, vertices = self._clouds[frame], self.search.vertices[frame].copy()
+        if not self._hanging.told(cloud.points, vertices, self.problem.faces):
+            return
+
+        def cost(frame: int) -> float:
+            return self._misfit(frame) + far_share(cloud.points, self.search.vertices[frame])
+
+        pose = slide(self.bending, SeenCloud.of(cloud.points, cloud.normals), self.bending.pose_of(vertices))
+        self._attempt(frame, neighbour, self.bending.place(pose), cost, cost(frame))
+
+    @cached_property
+    def _hanging(self) -> Hanging:
+        p = self.problem
+        keyframe = p.transitions.keyframe
+        return Hanging.of(self._clouds[keyframe].points, p.template.astype(np.float64), p.faces)
 
     def _settle(self, frame: int, neighbour: int) -> None:
         """Fit a frame from where its vertices are, and measure it."""

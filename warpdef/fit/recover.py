@@ -52,13 +52,20 @@ class Cloud:
     given: bool
     oriented: bool
 
-    def turned_outwards(self) -> Cloud:
-        """The same with sides that agree all over, from the points alone; costs about a second."""
+    def turned_outwards(self, vertices: np.ndarray, faces: np.ndarray) -> Cloud:
+        """The same with sides that agree all over, from the points alone; costs about a second.
+
+        Which side it is, most of a mesh nearby decide, vertices (V, 3) and faces (F, 3): an open sheet has no outside.
+        """
+        from scipy.spatial import cKDTree
+
         if self.given:
             normals, _ = repair_normals(self.points, self.normals)
         else:
             normals = turned_to(self.normals, estimate_normals(self.points))
-        return Cloud(self.points, normals, self.given, oriented=True)
+        facing = vertex_normals(vertices, faces)[cKDTree(vertices).query(self.points)[1]]
+        side = -1.0 if (normals * facing).sum() < 0.0 else 1.0
+        return Cloud(self.points, side * normals, self.given, oriented=True)
 
 
 @dataclass(frozen=True)
@@ -199,7 +206,8 @@ class Search:
         if self.uncovered(neighbour) > _NOTHING:
             return False
         if not self._matches[t].cloud.oriented:
-            self._matches[t] = Matches(self._clouds[t].turned_outwards(), self._surface, self._device)
+            cloud = self._clouds[t].turned_outwards(self.vertices[neighbour], self._surface.faces)
+            self._matches[t] = Matches(cloud, self._surface, self._device)
             self._uncovered.pop(t, None)
         found, rest = False, self.vertices[neighbour]
         looser = () if self.lost(neighbour) else LOOSER  # what is lost itself teaches little
