@@ -13,19 +13,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpdef.fit.bending import Bending, SeenCloud
+from warpdef.fit.bending import STILL, Bending, SeenCloud
 from warpdef.fit.embedded import Pose
 from warpdef.quality.coverage import Coverage, measure_coverage
 from warpdef.quality.overhang import overhang_share, surplus_share
 
 SCHEDULE = ((0.3, 15), (0.1, 15), (0.03, 10))
 """Rigidity, and Gauss-Newton steps with it at most."""
-STILL = 0.3
-"""Largest move of a vertex in a step, in point spacings, below which the next rigidity is taken."""
 END, ON = 4.0, 6.0
 """Distances, in point spacings: from which surface and points pull as ends do; up to which planes hold them."""
 POINT_WEIGHT = 0.5
 """Of a point's plane against a vertex's."""
+TANGENTIAL = 0.003
+"""Weight along the surface against one across it: what planes leave open, as a sheet's way sidewards, stays."""
 HANGING, SURPLUS = 0.003, 0.01
 """Shares of the surface above which a frame is slid: a third of the surplus that makes it doubtful."""
 _WORTH = 0.003  # share of the vertices far from all points below which neither is asked for
@@ -84,7 +84,7 @@ def slide(bending: Bending, cloud: SeenCloud, start: Pose) -> Pose:
                 way /= np.linalg.norm(way, axis=1, keepdims=True)
                 matches.append((at, to, way, np.ones(len(at))))
             at, to, normal, weight = (np.concatenate(part) for part in zip(*matches, strict=True))
-            pose = bending.graph.step(bending.rest, pose, at, cloud.points[to], normal, rigidity, 0.0, weight)
+            pose = bending.graph.step(bending.rest, pose, at, cloud.points[to], normal, rigidity, TANGENTIAL, weight)
             before, placed = placed, bending.place(pose)
             if np.abs(placed - before).max() < STILL * s:
                 break

@@ -1,0 +1,64 @@
+"""A mesh that hangs over the end of its cloud goes back along itself; the sides of an open sheet are the mesh's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import synthetic
+
+from warpdef.fit.bending import Bending, SeenCloud
+from warpdef.fit.recover import Cloud
+from warpdef.fit.sliding import END, Hanging, far_share, slide
+from warpdef.geometry.closest import closest_on_surface
+from warpdef.geometry.triangles import unique_edges
+
+LONG, WIDE = 81, 21
+
+
+def wavy_strip(shift: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """A strip of 4 by 1, open, waved along x and moved along its own wave by ``shift``."""
+    along, across = np.meshgrid(np.linspace(0.0, 4.0, LONG) + shift, np.linspace(0.0, 1.0, WIDE), indexing="ij")
+    i = np.arange(LONG * WIDE).reshape(LONG, WIDE)
+    a, b, c, d = (j.ravel() for j in (i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
+    return np.stack([along, across, 0.25 * np.sin(2.5 * along)], axis=-1).reshape(-1, 3), faces
+
+
+@pytest.fixture(scope="module")
+def there() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The strip where it is, points on it and their normals."""
+    vertices, faces = wavy_strip()
+    points, normals = synthetic.sample_surface(vertices, faces, 1500, np.random.default_rng(0))
+    return vertices, points, normals
+
+
+def test_a_strip_that_slid_along_its_wave_is_slid_back(there) -> None:
+    """At both ends: one hangs over, at the other points are left; nearest points with planes see neither."""
+    vertices, points, normals = there
+    over, faces = wavy_strip(0.4)
+    bending = Bending(over, faces, unique_edges(faces))
+    cloud = SeenCloud.of(points, normals)
+    assert far_share(points, over) > 0.03
+    placed = bending.place(slide(bending, cloud, bending.still()))
+    assert far_share(points, placed) < 0.003
+    assert np.quantile(closest_on_surface(points, placed, faces)[0], 0.99) < END * cloud.spacing
+    moved_by = np.linalg.norm(placed - vertices, axis=1)
+    assert np.median(moved_by) < 0.12 and moved_by.max() < 0.2, "0.4 before"
+
+
+def test_what_hangs_over_is_told_and_what_lies_on_its_points_is_not(there) -> None:
+    vertices, points, _ = there
+    (over, faces), (less, _) = wavy_strip(0.4), wavy_strip(0.01)
+    hanging = Hanging.of(points, vertices, faces)
+    assert hanging.told(points, over, faces) and not hanging.told(points, less, faces)
+    # Half of the strip was seen: the mesh goes on where the cloud does not, and is not told to be wrong.
+    assert not hanging.told(points[points[:, 0] < 2.0], vertices, faces)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_open_sheet_has_the_side_of_the_mesh_nearby(there, side: float) -> None:
+    """An estimate alone cannot know it."""
+    vertices, points, normals = there
+    _, faces = wavy_strip()
+    found = Cloud(points, normals, given=False, oriented=False).turned_outwards(vertices, faces[:, :: int(side)])
+    assert ((side * normals * found.normals).sum(axis=1) > 0.0).mean() > 0.99 and found.oriented
