@@ -17,14 +17,14 @@ from warpdef.geometry.borders import border_points
 from warpdef.geometry.cloud_normals import pca_normals
 from warpdef.geometry.coverage import JUDGED
 from warpdef.geometry.triangles import vertex_areas, vertex_components, vertex_normals
-from warpdef.quality.coverage import COVERED, FAR, OTHER_SIDE, Coverage
+from warpdef.quality.coverage import FAR, OTHER_SIDE, Coverage
 
 CLOSED = 0.9
 """Share of a patch's contour whose nearest points see no border, from which the surface closes there: 1.00 at the end
 of a limb that the mesh has left, below 0.5 where a camera saw no further."""
 _ASKED = 5  # points from which they say something
 _LEAST = 0.001  # share of the surface that is worth asking for
-_TRUSTED = 1.1  # times the surface that is not far, up to which the area of a cloud that it reaches is believed
+_TRUSTED = 1.1  # times the surface that is not far, up to which a cloud's area is believed
 
 
 def overhang_share(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, coverage: Coverage) -> float:
@@ -76,11 +76,7 @@ def surplus_share(coverage: Coverage, keyframe: Coverage) -> float | None:
 def _shown_area(coverage: Coverage) -> float | None:
     """Area that the points show, input units squared; None for few points, and where noise or strays make much of it.
 
-    A point stands for four squared spacings; one that the mesh does not reach for those of the others, as strays lie
-    far apart.
+    A point stands for four squared spacings.
     """
-    own, covered = 4.0 * coverage.spacing**2, coverage.residual <= COVERED * coverage.length
-    shown, near = float(own[covered].sum()), float(coverage.areas.sum()) * (1.0 - coverage.far)
-    if len(own) < JUDGED or shown > _TRUSTED * near or not covered.any():
-        return None
-    return shown + float((~covered).sum()) * float(np.median(own[covered]))
+    area, near = 4.0 * float((coverage.spacing**2).sum()), float(coverage.areas.sum()) * (1.0 - coverage.far)
+    return area if len(coverage.spacing) >= JUDGED and area <= _TRUSTED * near else None
