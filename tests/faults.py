@@ -198,7 +198,7 @@ def checkpoint_damaged(bench: Bench) -> bool:
 
 def no_numbers(bench: Bench) -> bool:
     """NaN or infinity put into the gradient's place at some iteration: undone, told, and the same twice."""
-    iteration, bad = int(bench.rng.integers(1, 100)), float(bench.rng.choice([np.nan, np.inf]))
+    iteration, bad = int(bench.rng.integers(1, 40)), float(bench.rng.choice([np.nan, np.inf]))
 
     def poison() -> None:
         from warpdef.fit.optimise import Optimiser

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import inspect
 import re
@@ -15,6 +16,7 @@ import witness_functions
 
 import warpdef.kernels
 from warpdef.kernels import launching
+from warpdef.kernels.cells import Targets
 from warpdef.kernels.chains import Routes
 from warpdef.kernels.launching import recording
 from warpdef.kernels.levels import node8
@@ -23,9 +25,11 @@ from warpdef.kernels.sizes import _OF_STRUCTS, _TABLES, check, require, require_
 from warpdef.kernels.vectors import add_scaled
 
 # Numbers for the letters of the tables, all different but for those that some table calls equal: K = N = P = T V.
-LETTERS = dict(zip("TVSMLABCEFGHIQRW", (3, 5, 2, 41, 4, 6, 8, 9, 7, 11, 13, 17, 19, 23, 29, 31), strict=True))
+LETTERS = dict(
+    zip("TVSMLABCEFGHIQRWXYZ", (3, 5, 2, 41, 4, 6, 8, 9, 7, 11, 13, 17, 19, 23, 29, 31, 10, 12, 14), strict=True)
+)
 KNOWN = {name: (number, "") for name, number in (LETTERS | {"N": 15, "P": 15, "K": 15}).items()}
-STRUCTS = {"pairs": Pairs, "routes": Routes}
+STRUCTS = {"pairs": Pairs, "routes": Routes, "targets": Targets}
 OTHERS = {"betas": (0.9, 0.99), "robust": (1.0, 2, 0.5), "count": 1, "begin": 0}
 
 
@@ -63,7 +67,9 @@ class Call:
             struct = STRUCTS[name]()
             for a in self.table.arguments:
                 if a.member:
-                    setattr(struct, a.member, array(a))
+                    *outer, last = a.member.split(".")
+                    within = functools.reduce(getattr, outer, struct)
+                    setattr(within, last, array(a) if a.rank else a.names[0].number(KNOWN))
             return struct
         for label in (name, f"{name}_out", name.removesuffix("_out")):
             if label in self.entries and self.entries[label].rank:

@@ -96,7 +96,7 @@ def reconstruct(
 
     # Keyframe Selection: the frame with most surface near the middle, and screened Poisson on it.
     tell(Progress("template"))
-    with clock.phase("template"):
+    with clock.phase("template"), explained_shortage(estimate, target):
         view = viewing_direction(in_cube()) if any(n is None for n in sequence.normals) else None
         eye = None if view is None else camera_place(in_cube(), view)
         scattered, calm = None, sequence

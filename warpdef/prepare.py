@@ -27,6 +27,7 @@ from warpdef.memory import MemoryEstimate, require_memory
 from warpdef.mesh import TriMesh
 from warpdef.progress import Clock
 from warpdef.sequence import PointSequence
+from warpdef.shortage import explained_shortage
 from warpdef.template.keyframe import require_keyframe
 
 READ_FACTOR = 20
@@ -88,7 +89,7 @@ def prepare(
 
     Raises:
         InputError: clouds, template or checkpoint are not usable, or the run does not fit into memory.
-        DeviceError: no such device.
+        DeviceError: no such device, or its memory ran out.
     """
     saved = Saved(safeguards.resume) if isinstance(safeguards.resume, Path) else safeguards.resume
     if saved is not None and config not in (None, saved.config):
@@ -112,7 +113,7 @@ def prepare(
     vertex_count = len(template.vertices) if template else saved.vertex_count if saved is not None else None
     estimate = require_memory(sizes, vertex_count, config, target, safeguards.memory_limit)
 
-    with clock.phase("clean"):
+    with clock.phase("clean"), explained_shortage(estimate, target):
         sequence = clean(sequence, config, target)
     if saved is not None:
         saved.require_input(sequence)
