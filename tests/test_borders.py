@@ -121,7 +121,7 @@ def test_a_straight_edge_is_found_where_the_points_end(device: str, rng: np.rand
     edge.q, edge.m, edge.n = cloud.astype(np.float32), np.tile(up, (2 * count, 1)), np.tile(up, (points, 1))
     edge.frame = {"met": np.zeros(2 * count), "asked": np.zeros(points)}
     edge.reach, edge.mutual_reach, edge.gap = np.array([10.0]), np.array([np.inf]), np.array([_BORDER_GAP * spacing])
-    edge.folded = np.zeros(1)
+    edge.folded = np.zeros(1, np.float32)
     moves = []
     for height in (-3 * spacing, 0.0, 3 * spacing):
         flat = np.column_stack([line, np.full(count, height), np.zeros(count)])
