@@ -34,7 +34,8 @@ FLOORS_INSIDE = (
     ("files",),
     ("datasets", "export", "fit", "truth"),
     ("memory",),
-    ("prepare", "shortage"),
+    ("shortage",),
+    ("prepare",),
     ("pipeline", "run_clouds"),
 )
 """Rooms of warpdef/, a file or a folder each, from the ground up. A room imports from floors below its own only."""

@@ -50,7 +50,7 @@ def test_what_hangs_over_is_told_and_what_lies_on_its_points_is_not(there) -> No
     vertices = there[0]
     (over, faces), (less, _) = wavy_strip(0.2), wavy_strip(0.01)
     points, _ = synthetic.sample_surface(vertices, faces, 3000, np.random.default_rng(0))
-    hanging = Hanging.of(points, vertices, faces)
+    hanging = Hanging(points, vertices, faces)
     assert hanging.told(points, over, faces) and not hanging.told(points, less, faces)
     # Half of the strip was seen: the mesh goes on where the cloud does not, and is not told to be wrong.
     assert not hanging.told(points[points[:, 0] < 2.0], vertices, faces)

@@ -206,7 +206,7 @@ class _Walk:
     def _hanging(self) -> Hanging:
         p = self.problem
         keyframe = p.transitions.keyframe
-        return Hanging.of(self._clouds[keyframe].points, p.template.astype(np.float64), p.faces)
+        return Hanging(self._clouds[keyframe].points, p.template.astype(np.float64), p.faces)
 
     def _settle(self, frame: int, neighbour: int) -> None:
         """Fit a frame from where its vertices are, and measure it."""

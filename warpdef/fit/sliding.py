@@ -9,10 +9,11 @@ and stiff pieces of the mesh (``embedded``) carry the pull from one end to the o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from warpdef.errors import MissingPackageError
 from warpdef.fit.bending import STILL, Bending, SeenCloud
 from warpdef.fit.embedded import Pose
 from warpdef.quality.coverage import Coverage, measure_coverage
@@ -31,25 +32,29 @@ HANGING, SURPLUS = 0.003, 0.01
 _WORTH = 0.003  # share of the vertices far from all points below which neither is asked for
 
 
-@dataclass(frozen=True)
 class Hanging:
     """How a frame is told to hang over: by its cloud, and by what the keyframe's shows of the mesh there.
 
-    keyframe: the keyframe's mesh against its cloud
+    Args:
+        points, vertices, faces: the keyframe's points (N, 3) and mesh, vertices (V, 3).
     """
 
-    keyframe: Coverage
+    def __init__(self, points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> None:
+        self._keyframe = points, vertices, faces
 
-    @classmethod
-    def of(cls, points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> Hanging:
-        """For the keyframe's points (N, 3) and mesh, vertices (V, 3)."""
-        return cls(measure_coverage(points, vertices, faces))
+    @cached_property
+    def keyframe(self) -> Coverage:
+        """The keyframe's mesh against its cloud; measured where a frame asks for it."""
+        return measure_coverage(*self._keyframe)
 
     def told(self, points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> bool:
         """Whether the mesh of another frame has surface where its points say that there is none."""
         if far_share(points, vertices) < _WORTH:
             return False
-        coverage = measure_coverage(points, vertices, faces)
+        try:
+            coverage = measure_coverage(points, vertices, faces)
+        except MissingPackageError:  # without exact distances no frame is judged either, and the run says so
+            return False
         if overhang_share(points, vertices, faces, coverage) > HANGING:
             return True
         return (surplus_share(coverage, self.keyframe) or 0.0) > SURPLUS
