@@ -28,7 +28,7 @@ from warpdef.fit.measures import stretched_share
 from warpdef.fit.transport import partial_transport, transport_cost
 from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.rotations import nearest_rotation
-from warpdef.geometry.sampling import spread_evenly
+from warpdef.geometry.sampling import mean_spacing, spread_evenly
 from warpdef.geometry.triangles import is_watertight, vertex_normals
 from warpdef.geometry.viewpoint import Picture
 
@@ -91,7 +91,7 @@ class SeenCloud:
     @classmethod
     def of(cls, points: np.ndarray, normals: np.ndarray, eye: np.ndarray | None = None) -> SeenCloud:
         """At most ``POINTS`` of points (N, 3) with normals (N, 3)."""
-        chosen = _spread(points, POINTS)
+        chosen = spread_evenly(points, POINTS)
         return cls(points[chosen], normals[chosen], mean_spacing(points[chosen]), eye)
 
     @cached_property
@@ -101,7 +101,7 @@ class SeenCloud:
 
     def thinned(self, count: int) -> SeenCloud:
         """At most ``count`` of its points."""
-        chosen = _spread(self.points, count)
+        chosen = spread_evenly(self.points, count)
         return replace(
             self, points=self.points[chosen], normals=self.normals[chosen], spacing=mean_spacing(self.points[chosen])
         )
@@ -115,7 +115,7 @@ class Bending:
         self.graph = DeformationGraph.build(rest, edges, NODES)
         if is_watertight(faces):
             self.graph = self.graph.braced(rest, vertex_normals(rest, faces))
-        self._chosen, self._coarse, self._sharing = (_spread(rest, count) for count in (POINTS, COARSE, SHARED))
+        self._chosen, self._coarse, self._sharing = (spread_evenly(rest, count) for count in (POINTS, COARSE, SHARED))
         self._edges, self._lengths = edges, edge_lengths(rest, edges)
 
     @property
@@ -270,15 +270,3 @@ class Bending:
         more = vertex, goal, way, np.full(len(vertex), PUSH)
         first, second, third, fourth = (np.concatenate(pair) for pair in zip(matched, more, strict=True))
         return first, second, third, fourth
-
-
-def _spread(places: np.ndarray, count: int) -> np.ndarray:
-    """At most ``count`` of places (N, 3), evenly."""
-    return spread_evenly(places, count) if len(places) > count else np.arange(len(places))
-
-
-def mean_spacing(points: np.ndarray) -> float:
-    """Mean distance of points (N, 3) to their nearest fellow."""
-    from scipy.spatial import cKDTree
-
-    return float(cKDTree(points).query(points, k=2)[0][:, 1].mean())

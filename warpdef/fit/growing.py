@@ -20,8 +20,9 @@ from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.fit.embedded import Pose
 from warpdef.fit.surfels import SeenFrame, Surfels, nearest_facing
+from warpdef.geometry.cloud_normals import unit_vectors
 from warpdef.geometry.coverage import area_of_discs
-from warpdef.geometry.sampling import spread_evenly
+from warpdef.geometry.sampling import mean_spacing, spread_evenly
 from warpdef.geometry.triangles import unique_edges, vertex_normals
 from warpdef.mesh import TriMesh
 from warpdef.template.build import build, depth_by_spacing
@@ -200,7 +201,7 @@ class _Growth:
         points, normals = np.concatenate(self._points), np.concatenate(self._normals)
         trust = np.concatenate(self._trust)
         key = self.frames[self.keyframe].points
-        spacing = float(cKDTree(key).query(key, k=2)[0][:, 1].mean())
+        spacing = mean_spacing(key)
         axis = np.abs(normals).argmax(axis=1)
         side = 2 * axis + (np.take_along_axis(normals, axis[:, None], axis=1)[:, 0] > 0)
         cells = np.column_stack([np.floor(points / (CELL * spacing)).astype(np.int64), side])
@@ -212,7 +213,7 @@ class _Growth:
         distance, index = tree.query(at, k=min(AVERAGED, len(points)))
         weight = (distance < NEAR * spacing) * np.exp(-0.5 * (distance / (WIDTH * spacing)) ** 2) * trust[index]
         mean = np.einsum("nk,nki->ni", weight, normals[index])
-        mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
+        mean = unit_vectors(mean)
         off = ((points[index] - points[speaks][:, None]) * mean[:, None]).sum(axis=2)
         total = weight.sum(axis=1)
         kept = total > SUPPORTED * np.median(total)

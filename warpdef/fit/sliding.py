@@ -16,6 +16,7 @@ import numpy as np
 from warpdef.errors import MissingPackageError
 from warpdef.fit.bending import STILL, Bending, SeenCloud
 from warpdef.fit.embedded import Pose
+from warpdef.geometry.sampling import mean_spacing
 from warpdef.quality.coverage import Coverage, measure_coverage
 from warpdef.quality.overhang import overhang_share, surplus_share
 
@@ -65,8 +66,7 @@ def far_share(points: np.ndarray, vertices: np.ndarray) -> float:
     from scipy.spatial import cKDTree
 
     tree = cKDTree(points)
-    spacing = float(tree.query(points, k=2)[0][:, 1].mean())
-    return float(np.mean(tree.query(vertices)[0] > END * spacing))
+    return float(np.mean(tree.query(vertices)[0] > END * mean_spacing(points, tree)))
 
 
 def slide(bending: Bending, cloud: SeenCloud, start: Pose) -> Pose:

@@ -17,8 +17,9 @@ import numpy as np
 from warpdef.fit.bending import AGREEMENT, ALONG, FACING, STILL, WAY_BACK
 from warpdef.fit.embedded import DeformationGraph, Pose, rotations
 from warpdef.geometry.borders import border_points
+from warpdef.geometry.cloud_normals import unit_vectors
 from warpdef.geometry.rotations import nearest_rotation
-from warpdef.geometry.sampling import spread_evenly
+from warpdef.geometry.sampling import mean_spacing, spread_evenly
 
 MATCHED = 2000
 """Points of a frame that are matched: spread evenly."""
@@ -62,7 +63,7 @@ class SeenFrame:
     @cached_property
     def spacing(self) -> float:
         """Mean distance of the sample's points to their nearest."""
-        return _spacing(self.points[self.sample])
+        return mean_spacing(self.points[self.sample])
 
     def turned_onto(self, other: SeenFrame) -> np.ndarray:
         """The rotation (3, 3) of the rigid motion that brings this frame onto another."""
@@ -113,15 +114,13 @@ class Surfels:
     def place(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Points and unit normals in a pose, (M, 3) both."""
         turn, shift = self.motions(pose)
-        return np.einsum("vab,vb->va", turn, self.points) + shift, _unit(np.einsum("vab,vb->va", turn, self.normals))
+        return np.einsum("vab,vb->va", turn, self.points) + shift, unit_vectors(
+            np.einsum("vab,vb->va", turn, self.normals)
+        )
 
     def carry(self, points: np.ndarray, normals: np.ndarray, pose: Pose) -> np.ndarray:
         """Oriented points at rest, (m, 3) both, where the nearest surfels take them in a pose, (m, 3)."""
-        from scipy.spatial import cKDTree
-
-        turned = FACING * self.spacing
-        tree = cKDTree(np.column_stack([self.points, turned * self.normals]))
-        distance, index = tree.query(np.column_stack([points, turned * normals]), k=CARRIERS)
+        distance, index = nearest_facing(self.points, self.normals, points, normals, self.spacing, CARRIERS)
         weight = 1.0 / (distance + 0.1 * self.spacing)
         weight /= weight.sum(axis=1, keepdims=True)
         turn, shift = self.motions(pose)
@@ -201,7 +200,7 @@ class Surfels:
             anchor[reached] = anchor[source[reached]]
         turn, shift = self.motions(pose, anchor)
         rest = np.linalg.solve(turn, (points - shift)[:, :, None])[:, :, 0]
-        return Pulled(rest, _unit(np.einsum("vba,vb->va", turn, normals)), explained, anchor, away)
+        return Pulled(rest, unit_vectors(np.einsum("vba,vb->va", turn, normals)), explained, anchor, away)
 
     def grown(
         self, points: np.ndarray, normals: np.ndarray, anchor: np.ndarray, poses: Mapping[int, Pose]
@@ -285,21 +284,12 @@ def _connected(graph: DeformationGraph, points: np.ndarray) -> DeformationGraph:
 
 
 def nearest_facing(
-    points: np.ndarray, normals: np.ndarray, places: np.ndarray, sides: np.ndarray, spacing: float
+    points: np.ndarray, normals: np.ndarray, places: np.ndarray, sides: np.ndarray, spacing: float, count: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and indices (m,) of the oriented points nearest to oriented places (m, 3), in (x, FACING s n)."""
+    """Distances and indices (m,) of the oriented points nearest to oriented places (m, 3), in (x, FACING s n); of so
+    many (m, count)."""
     from scipy.spatial import cKDTree
 
     turned = FACING * spacing
     tree = cKDTree(np.column_stack([points, turned * normals]))
-    return tree.query(np.column_stack([places, turned * sides]))
-
-
-def _spacing(points: np.ndarray) -> float:
-    from scipy.spatial import cKDTree
-
-    return float(cKDTree(points).query(points, k=2)[0][:, 1].mean())
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+    return tree.query(np.column_stack([places, turned * sides]), k=count)

@@ -105,7 +105,7 @@ def _estimated(
 ) -> np.ndarray:
     """The same, from the grid on which it starts; without local planes it is the field's word."""
     start = _least_norm_start(at_first, near.area, REGULARISATION if planes else REGULARISATION_NOISY)
-    side = _sharpened(near, field, _unit(start), SHARPEN_ITERATIONS)
+    side = _sharpened(near, field, unit_vectors(start), SHARPEN_ITERATIONS)
     normals = _detail(near, side) if planes else side
     if _discord(near, normals) > DISCORD_DOUBTED:
         # A flat open sheet has no inside, and the field cuts it into patches: there, a walk does better.
@@ -119,7 +119,7 @@ def _estimated(
 def _sharpened(near: _Neighbourhood, field: _CurlFreeField, side: np.ndarray, iterations: int) -> np.ndarray:
     """``side`` (N, 3), replaced some times by the direction of its curl-free part."""
     for _ in range(iterations):
-        side = _unit(field.project(near.area[:, None] * side))
+        side = unit_vectors(field.project(near.area[:, None] * side))
     return side
 
 
@@ -148,7 +148,7 @@ def _detail(near: _Neighbourhood, side: np.ndarray) -> np.ndarray:
     normals, clarity = _fit_planes(near.points, near.index, same_side)
     normals = turned_to(normals, side)
     clarity = (clarity**2)[:, None]
-    return _unit(clarity * normals + (1.0 - clarity) * side)
+    return unit_vectors(clarity * normals + (1.0 - clarity) * side)
 
 
 def _discord(near: _Neighbourhood, normals: np.ndarray) -> float:
@@ -265,7 +265,8 @@ class _Neighbourhood:
         return first, second
 
 
-def _unit(x: np.ndarray) -> np.ndarray:
+def unit_vectors(x: np.ndarray) -> np.ndarray:
+    """Vectors (N, 3) of length 1; zero where they are zero."""
     return x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300)
 
 
@@ -289,7 +290,7 @@ def _agreement(points: np.ndarray, normals: np.ndarray, i: np.ndarray, j: np.nda
     The first is n_i . n_j with n_j mirrored across the step from i to j: right across sharp edges and thin walls too.
     The second is high where the step runs along the surface.
     """
-    step = _unit(points[j] - points[i])
+    step = unit_vectors(points[j] - points[i])
     n_i, n_j = normals[i], normals[j]
     rise_i, rise_j = (n_i * step).sum(axis=1), (n_j * step).sum(axis=1)
     flatness = (1.0 - np.minimum(np.maximum(np.abs(rise_i), np.abs(rise_j)), 1.0)) ** 2

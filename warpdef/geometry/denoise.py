@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdef.geometry.cloud_normals import estimate_normals
+from warpdef.geometry.cloud_normals import estimate_normals, unit_vectors
 from warpdef.geometry.noise import noise_level
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def _sides(points: np.ndarray, tree: cKDTree, thinned: np.ndarray, noise: float,
     sides = estimate_normals(means, neighbours, noise)
     distance, index = cKDTree(means).query(points, k=min(_SPREAD_NEIGHBOURS, len(means)))
     weight = np.exp(-0.5 * (distance / noise) ** 2) + 1e-12
-    return _unit(np.einsum("nk,nki->ni", weight, sides[index]))
+    return unit_vectors(np.einsum("nk,nki->ni", weight, sides[index]))
 
 
 def _project(
@@ -122,7 +122,7 @@ def _onto_parabola(
     """Places (M, 3) and normals (M, 3) once on the parabolas through their neighbours (M, K)."""
     weight = np.exp(-0.5 * (distance / width) ** 2) * np.maximum(np.einsum("ni,nki->nk", n, normals[index]), 0.0)
     helper = np.where(np.abs(n[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = _unit(np.cross(n, helper))
+    first = unit_vectors(np.cross(n, helper))
     axes = np.stack([first, np.cross(n, first), n], axis=1)
     local = (points[index] - x[:, None]) @ axes.transpose(0, 2, 1) / width
     u, v, height = local[:, :, 0], local[:, :, 1], local[:, :, 2]
@@ -132,8 +132,4 @@ def _onto_parabola(
     matrix += (_RIDGE * matrix[:, :1, :1] + 1e-300) * np.eye(terms.shape[2])
     found = np.linalg.solve(matrix, weighed.transpose(0, 2, 1) @ height[:, :, None])[:, :, 0]
     move = width * np.clip(found[:, :1], -_STEP_MAX, _STEP_MAX)
-    return x + move * n, _unit(n - found[:, 1:2] * axes[:, 0] - found[:, 2:3] * axes[:, 1])
-
-
-def _unit(x: np.ndarray) -> np.ndarray:
-    return x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300)
+    return x + move * n, unit_vectors(n - found[:, 1:2] * axes[:, 0] - found[:, 2:3] * axes[:, 1])

@@ -1,10 +1,15 @@
-"""Points drawn from a surface, uniform by area; and from a cloud, evenly in space."""
+"""Points drawn from a surface, uniform by area; and from a cloud, evenly in space; how far apart its points are."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpdef.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 _VOXEL_TRIALS = 8
 
@@ -67,3 +72,12 @@ def spread_evenly(points: np.ndarray, count: int) -> np.ndarray:
     if len(chosen) > count:
         chosen = chosen[np.linspace(0, len(chosen) - 1, count).astype(int)]
     return chosen
+
+
+def mean_spacing(points: np.ndarray, tree: cKDTree | None = None) -> float:
+    """Mean distance of points (N, 3), at least two, to their nearest fellow. tree: of them, where there is one."""
+    if tree is None:
+        from scipy.spatial import cKDTree
+
+        tree = cKDTree(points)
+    return float(tree.query(points, k=2)[0][:, 1].mean())

@@ -13,6 +13,7 @@ from warpdef.errors import InputError
 from warpdef.geometry import triangles
 from warpdef.geometry.cloud_normals import estimate_normals, repair_normals
 from warpdef.geometry.coverage import objects_of
+from warpdef.geometry.sampling import mean_spacing
 from warpdef.mesh import TriMesh
 from warpdef.template.cut import cut_at_zero
 from warpdef.template.poisson import Backend, load_backend
@@ -189,9 +190,7 @@ def depth_by_spacing(points: np.ndarray) -> int:
     Deeper trees follow the noise: on a person's 5,000 points with noise of 0.5 % of the diagonal, depth 8 made no
     handle and depth 10 up to eight, and both lay equally near the true surface.
     """
-    from scipy.spatial import cKDTree
-
-    spacing = float(cKDTree(points).query(points, k=2)[0][:, 1].mean())
+    spacing = mean_spacing(points)
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
     # Both libraries leave a tenth of the extent around the points.
     return int(np.clip(np.ceil(np.log2(1.1 * extent / max(spacing, 1e-12))), 3, 12))

@@ -121,10 +121,10 @@ def far_shares(mesh: TriMesh, points: np.ndarray, far_spacings: float, seed: int
     """
     from scipy.spatial import cKDTree
 
-    from warpdef.geometry.sampling import sample_surface
+    from warpdef.geometry.sampling import mean_spacing, sample_surface
 
     tree = cKDTree(points)
-    spacing = float(tree.query(points, k=2)[0][:, 1].mean())
+    spacing = mean_spacing(points, tree)
     if not triangles.face_areas(mesh.vertices, mesh.faces).sum() > 0:
         return spacing, 1.0, 1.0
     samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, np.random.default_rng(seed))[0]
