@@ -154,7 +154,7 @@ def test_a_run_on_it_goes_on_from_its_checkpoint_with_the_same_bits(tmp_path: Pa
     assert any("made of all frames" in warning for warning in whole.report["warnings"])
     with pytest.raises(KeyboardInterrupt):
         run(checkpoint=at, checkpoint_seconds=0.0, callback=die)
-    monkeypatch.setattr("warpdef.pipeline.template_of_all", None)  # it is not grown again
+    monkeypatch.setattr("warpdef.starting_template.template_of_all", None)  # it is not grown again
     again = run(resume=at)
     np.testing.assert_array_equal(again.vertices, whole.vertices)
     assert again.report["warnings"] == whole.report["warnings"]

@@ -35,7 +35,8 @@ FLOORS_INSIDE = (
     ("datasets", "export", "fit", "truth"),
     ("memory",),
     ("shortage",),
-    ("prepare",),
+    ("cube_clouds", "prepare"),
+    ("reports", "starting_template"),
     ("pipeline", "run_clouds"),
 )
 """Rooms of warpdef/, a file or a folder each, from the ground up. A room imports from floors below its own only."""

@@ -167,7 +167,7 @@ def test_the_template_stage_is_not_repeated(tmp_path: Path, monkeypatch: pytest.
     cut_at("optimise", 20, quick(), tmp_path / "c")
     whole = fit(quick())
     for name in ("choose_template", "accept_user_template"):
-        monkeypatch.setattr(f"warpdef.pipeline.{name}", None)
+        monkeypatch.setattr(f"warpdef.starting_template.{name}", None)
     assert_same(fit(resume=tmp_path / "c"), whole)
 
 

@@ -66,6 +66,11 @@ class Saver:
         self._next = clock.begun + seconds
         self._failed = False
 
+    @property
+    def digests(self) -> list[str]:
+        """Of the clouds of the run, a frame each."""
+        return self._facts["digests"]
+
     def due(self) -> bool:
         """Whether it is time to write one."""
         return self._path is not None and time.perf_counter() >= self._next
