@@ -7,14 +7,9 @@ import pytest
 from synthetic import sample_surface
 
 from warpdef.geometry import cloud_normals
-from warpdef.geometry.cloud_normals import (
-    _confirmed,
-    _CurlFreeField,
-    _Neighbourhood,
-    estimate_normals,
-    pca_normals,
-    repair_normals,
-)
+from warpdef.geometry.cloud_normals import _confirmed, estimate_normals, repair_normals
+from warpdef.geometry.cloud_planes import Neighbourhood, pca_normals
+from warpdef.geometry.curl_free import CurlFreeField
 
 
 def sphere(rng: np.random.Generator, count: int = 1500) -> np.ndarray:
@@ -124,8 +119,8 @@ def test_only_right_normals_of_a_whole_body_are_confirmed_by_their_indicator(rng
     points, truth = clamp(rng)
 
     def confirmed(points: np.ndarray, normals: np.ndarray) -> bool:
-        near = _Neighbourhood.of(points, 16)
-        return _confirmed(near, _CurlFreeField(near.points, near.spacing), normals)
+        near = Neighbourhood.of(points, 16)
+        return _confirmed(near, CurlFreeField(near.points, near.spacing), normals)
 
     assert confirmed(points, truth)
     assert not confirmed(points, -truth)
@@ -141,8 +136,8 @@ def test_single_normals_turned_over_are_found_where_the_rest_is_confirmed(rng):
     points, truth = clamp(rng)
     given = truth.copy()
     given[[5, 300, 2000]] *= -1
-    near = _Neighbourhood.of(points, 16)
-    assert _confirmed(near, _CurlFreeField(near.points, near.spacing), given)
+    near = Neighbourhood.of(points, 16)
+    assert _confirmed(near, CurlFreeField(near.points, near.spacing), given)
     repaired, flipped = repair_normals(points, given)
     assert flipped == 3
     np.testing.assert_array_equal(repaired, truth)
@@ -150,13 +145,13 @@ def test_single_normals_turned_over_are_found_where_the_rest_is_confirmed(rng):
 
 def test_some_points_of_a_large_cloud_tell_the_sides_of_all(rng, monkeypatch):
     asked = []
-    of_few = _Neighbourhood.of
+    of_few = Neighbourhood.of
 
-    def noted(points: np.ndarray, neighbours: int) -> _Neighbourhood:
+    def noted(points: np.ndarray, neighbours: int) -> Neighbourhood:
         asked.append(len(points))
         return of_few(points, neighbours)
 
-    monkeypatch.setattr(_Neighbourhood, "of", noted)
+    monkeypatch.setattr(Neighbourhood, "of", noted)
     monkeypatch.setattr(cloud_normals, "SIDED", 4000)
     points, truth = clamp(rng, 12_000)
     assert wrong_share(estimate_normals(points), truth) < 0.01
@@ -172,7 +167,7 @@ def test_some_points_of_a_large_cloud_tell_the_sides_of_all(rng, monkeypatch):
 
 
 def test_indicator_and_its_transpose_agree(rng):
-    field = _CurlFreeField(sphere(rng, 300), 0.2)
+    field = CurlFreeField(sphere(rng, 300), 0.2)
     normals, charges = rng.normal(size=(300, 3)), rng.normal(size=300)
     left = field.indicator(normals) @ charges
     right = (normals * field.indicator_adjoint(charges)).sum()
@@ -182,7 +177,7 @@ def test_indicator_and_its_transpose_agree(rng):
 def test_indicator_of_a_closed_surface_is_one_half_on_it(rng):
     points = sphere(rng, 20000)
     cell = 0.05
-    field = _CurlFreeField(points, cell)
+    field = CurlFreeField(points, cell)
     # The grid counts in cells: an area of so many cells squared belongs to each point.
     area = 4 * np.pi / len(points) / cell**2
     assert np.median(field.indicator(area * points)) == pytest.approx(0.5, abs=0.03)
@@ -190,7 +185,7 @@ def test_indicator_of_a_closed_surface_is_one_half_on_it(rng):
 
 def test_project_keeps_a_gradient_field_and_drops_a_swirl(rng):
     points = sphere(rng, 5000)
-    field = _CurlFreeField(points, 0.1)
+    field = CurlFreeField(points, 0.1)
     swirl = np.cross([0.0, 0.0, 1.0], points)
     kept = np.linalg.norm(field.project(points), axis=1).mean()
     dropped = np.linalg.norm(field.project(swirl), axis=1).mean()

@@ -9,7 +9,7 @@ import warp as wp
 
 from warpdef.cleaning.wide_noise import without_wide_noise
 from warpdef.config import Config
-from warpdef.geometry.cloud_normals import pca_normals
+from warpdef.geometry.cloud_planes import pca_normals
 from warpdef.geometry.denoise import Scattered
 from warpdef.geometry.viewpoint import camera_place, seen_normals, viewing_direction
 from warpdef.sequence import PointSequence, Similarity

@@ -142,7 +142,7 @@ def _from_clouds(sequence: PointSequence, size: Size) -> Work:
             f"--data: expected at least {size.points} points a frame for size {size.name!r}, got {fewest}; "
             "give a true sequence (vertices, faces), which can be sampled at will, or --only a smaller size"
         )
-    from warpdef.geometry.cloud_normals import pca_normals
+    from warpdef.geometry.cloud_planes import pca_normals
     from warpdef.template.choose import choose_template
 
     config = Config()

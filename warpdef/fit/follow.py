@@ -27,7 +27,7 @@ from warpdef.fit.problem import span
 from warpdef.fit.recover import Cloud, ConnectedSurface, Search
 from warpdef.fit.refine import Refinement
 from warpdef.fit.sliding import Hanging, far_share, slide
-from warpdef.geometry.cloud_normals import turned_to
+from warpdef.geometry.cloud_planes import turned_to
 from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.nearby import Nearest
 from warpdef.geometry.sampling import spread_evenly

@@ -20,7 +20,7 @@ from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.fit.embedded import Pose
 from warpdef.fit.surfels import SeenFrame, Surfels, nearest_facing
-from warpdef.geometry.cloud_normals import unit_vectors
+from warpdef.geometry.cloud_planes import unit_vectors
 from warpdef.geometry.coverage import area_of_discs
 from warpdef.geometry.sampling import mean_spacing, spread_evenly
 from warpdef.geometry.triangles import unique_edges, vertex_normals

@@ -17,7 +17,8 @@ import numpy as np
 import warp as wp
 
 from warpdef.fit.embedded import DeformationGraph, Pose
-from warpdef.geometry.cloud_normals import estimate_normals, repair_normals, turned_to
+from warpdef.geometry.cloud_normals import estimate_normals, repair_normals
+from warpdef.geometry.cloud_planes import turned_to
 from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.nearby import Fellows, Nearest
 from warpdef.geometry.triangles import component_labels, vertex_normals

@@ -17,7 +17,7 @@ import numpy as np
 from warpdef.fit.bending import AGREEMENT, ALONG, FACING, STILL, WAY_BACK
 from warpdef.fit.embedded import DeformationGraph, Pose, rotations
 from warpdef.geometry.borders import border_points
-from warpdef.geometry.cloud_normals import unit_vectors
+from warpdef.geometry.cloud_planes import unit_vectors
 from warpdef.geometry.rotations import nearest_rotation
 from warpdef.geometry.sampling import mean_spacing, spread_evenly
 

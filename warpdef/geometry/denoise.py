@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdef.geometry.cloud_normals import estimate_normals, unit_vectors
+from warpdef.geometry.cloud_normals import estimate_normals
+from warpdef.geometry.cloud_planes import unit_vectors
 from warpdef.geometry.noise import noise_level
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdef.geometry.cloud_normals import pca_normals, turned_to
+from warpdef.geometry.cloud_planes import pca_normals, turned_to
 
 if TYPE_CHECKING:
     import warp as wp

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from warpdef.geometry.borders import border_points
-from warpdef.geometry.cloud_normals import pca_normals
+from warpdef.geometry.cloud_planes import pca_normals
 from warpdef.geometry.coverage import JUDGED
 from warpdef.geometry.triangles import vertex_areas, vertex_components, vertex_normals
 from warpdef.quality.coverage import FAR, OTHER_SIDE, Coverage
