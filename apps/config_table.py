@@ -30,7 +30,7 @@ def config_table() -> str:
         published = value_of(paper, entry.key)
         shown = "" if published == entry.default else f"`{published}`"
         default = "" if entry.default == "" else f"`{entry.default}`"
-        text = entry.help.replace("``", "`").replace("|", "\\|")
+        text = " ".join(entry.help.split()).replace("``", "`").replace("|", "\\|")
         names = ", ".join(f"`{name}`" for name in flag_names(entry.key))
         lines.append(f"| {names} | {default} | {shown} | {text} |")
     return "\n".join(lines)

@@ -17,7 +17,7 @@ from warpdef.apps.signals import exit_code
 from warpdef.errors import InputError
 
 if TYPE_CHECKING:
-    from warpdef.apps.experiments.plan import Builder, Plan
+    from warpdef.apps.experiments.plan import Builder, Experiment, Plan
     from warpdef.config import Config
 
 Name = Literal[
@@ -33,6 +33,7 @@ def experiment(
     data: Path | None = None,
     output: Annotated[Path, Parameter(alias="-o")],
     only: Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=False)] = (),
+    rows: Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=False)] = (),
     quick: Annotated[bool, Parameter(negative="")] = False,
     samples: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
     preset: Literal["default", "paper"] = "default",
@@ -60,6 +61,7 @@ def experiment(
         data: Folder with true sequences, see warpdef datasets; the built-in figure if not given.
         output: Folder for the tables, and for finished runs, which all experiments there share.
         only: Only sequences whose name contains this; may be given again.
+        rows: Only the first row, which the others are judged by, and rows whose name contains this; may be given again.
         quick: A few frames, points and iterations, to see that everything runs.
         samples: Samples on each surface in the comparison; the paper's 100000 if not given.
         preset: Values to start from, as for warpdef reconstruct; settings of the experiment win over all others.
@@ -88,7 +90,7 @@ def experiment(
     kept = output / "meshes" if keep else None
     with clean_stdout():
         settings = resolve_config(preset, config, flags)
-        table = _builder(name)(_plan(data, only, quick, samples, settings, meshes, flags))
+        table = _with_rows(_builder(name)(_plan(data, only, quick, samples, settings, meshes, flags)), rows)
         table = replace(table, notes=(*table.notes, *_about(preset, settings, quick)))
         if workers == "dask" and any(run.fresh for run in table.runs()):
             raise InputError(
@@ -114,9 +116,9 @@ def experiment(
         except KeyboardInterrupt as ended:
             say(f"warpdef: interrupted: finished runs are kept in {output}; the same command goes on from there")
             return exit_code(ended)
-        rows = write_report(table, outcome, output, command)
-        if plot and rows:
-            draw(table, rows, output / f"{name}.png")
+        written = write_report(table, outcome, output, command)
+        if plot and written:
+            draw(table, written, output / f"{name}.png")
     _show(output, name, json)
     for failure in outcome.failures.values():
         say(f"warpdef: error: {failure}")
@@ -163,6 +165,19 @@ def _plan(
         names = ", ".join(s.name for s in sequences)
         raise InputError(f"--only: expected part of a sequence's name ({names:.200}), got {', '.join(only)}")
     return Plan(chosen, config, size, frames, meshes, data if data is not None and data.is_dir() else None)
+
+
+def _with_rows(table: Experiment, parts: tuple[str, ...]) -> Experiment:
+    """The table with its first row and those whose name contains one of ``parts``; all of it where none is given."""
+    if not parts:
+        return table
+    for part in parts:
+        if not any(part in setting.name for setting in table.settings):
+            names = ", ".join(setting.name for setting in table.settings)
+            raise InputError(f"--rows: expected part of a row's name ({names:.400}), got {part}")
+    first, *others = table.settings
+    kept = (first, *(s for s in others if any(part in s.name for part in parts)))
+    return replace(table, settings=kept, notes=(*table.notes, f"{len(kept)} of {1 + len(others)} rows."))
 
 
 def _about(preset_name: str, config: Config, quick: bool) -> list[str]:

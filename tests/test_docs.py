@@ -193,6 +193,19 @@ def test_the_configuration_table_is_up_to_date() -> None:
     assert with_tables(text) == text, "run: python -m warpdef.apps.config_table .github/CONFIGURATION.md"
 
 
+@pytest.mark.parametrize("name", sorted(TEXTS))
+def test_rows_of_tables_have_the_columns_of_their_heads(name: str) -> None:
+    """A row that a line break or a stray bar divides is drawn as text, and ends its table."""
+    text = re.sub(r"^ *```.*?^ *```", "", TEXTS[name], flags=re.MULTILINE | re.DOTALL)
+    tables = re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE)
+    assert tables or "CONFIGURATION" not in name
+    for table in tables:
+        rows = table.splitlines()
+        assert re.fullmatch(r"\|( ?-+:? ?\|)+", rows[1]), rows[0]
+        columns = {row: len(re.findall(r"(?<!\\)\|", row)) for row in rows}
+        assert [row for row in rows if columns[row] != columns[rows[0]] or not row.endswith("|")] == []
+
+
 def test_a_document_without_the_marks_is_refused() -> None:
     with pytest.raises(ValueError, match="marks"):
         with_tables("# Configuration")

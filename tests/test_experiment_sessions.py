@@ -193,10 +193,19 @@ def test_the_command_on_the_built_in_figure(tmp_path: Path, capfd: pytest.Captur
     assert "seed = 3 (preset: 0)" in " ".join(report["notes"]) and capfd.readouterr().out
 
 
+def test_rows_are_chosen_beside_the_first(ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "execute", lambda run, device, threads, keep: made_up(run))
+    arguments = ["experiment", "ideas", "--data", str(ball), "-o", str(tmp_path), "--quick", "--no-plot"]
+    assert command([*arguments, "--rows", "static planes", "--rows", "odd frames"]) == 0
+    rows = list(json.loads((tmp_path / "ideas.json").read_text())["runs"])
+    assert rows == ["all on", "without static planes cut", "without odd frames left out"]
+
+
 @pytest.mark.parametrize(
     ("extra", "message"),
     [
         (["--only", "nobody"], "part of a sequence's name (ball), got nobody"),
+        (["--rows", "nothing"], "part of a row's name (all), got nothing"),
         (["--cluster", "tcp://here:1"], "--workers dask"),
         (["--worker-count", "2"], "--workers dask"),
         (["--frames", "5:"], "at least 2 of its 6 frames"),

@@ -13,6 +13,7 @@ IDEAS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("mesh that follows its guide", {"optimiser.chain": True, "optimiser.points": 0}),
     ("vertex stage", {"refine.iterations": 0}),
     ("shared rest shape", {"refine.shape_step": 0.0}),
+    ("smoothness in time", {"refine.time": 0.0}),
     ("lost limbs found again", {"refine.recover": False}),
     ("stiffness by noise", {"refine.rigidity_noisy": "=refine.rigidity"}),
     ("normal agreement of pairs", {"refine.agreement": -1.0}),
