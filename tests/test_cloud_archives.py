@@ -64,7 +64,8 @@ def test_another_name_is_told(tmp_path):
     [
         (POINTS.transpose(0, 2, 1), r"got \(4, 3, 20\); transpose it: points.transpose\(0, 2, 1\)"),
         (POINTS.transpose(2, 0, 1), r"got \(3, 4, 20\); transpose it: points.transpose\(1, 2, 0\)"),
-        (POINTS[0], r"expected shape \(T, N, 3\), got \(20, 3\)"),
+        (POINTS.transpose(1, 0, 2), r"got \(20, 4, 3\); transpose it: points.transpose\(1, 0, 2\)"),
+        (POINTS[0], r"expected shape \(T, N, 3\), got \(20, 3\); that is one cloud"),
         (np.concatenate([POINTS, POINTS * 0 + 2000.5], axis=2), "expected normals or colours in columns 4 to 6"),
     ],
 )

@@ -51,7 +51,9 @@ def test_pcd_of_a_sensor_has_points_it_did_not_see(tmp_path):
         (tmp_path / f"{t}.pcd").write_bytes(pcd(seen + t, None, FORMS[t]))
     sequence = read_clouds(tmp_path)
     np.testing.assert_array_equal(sequence.points[0], CLOUDS[0])
-    assert sequence.warnings == ("points left out that are not finite or beyond 1e+30: 120 in frames 0-1",)
+    assert sequence.warnings == (
+        "points left out that are not finite, beyond 1e+30 or all at one place: 120 in frames 0-1",
+    )
 
 
 WHOLE = pcd(CLOUDS[0], None, "ascii")

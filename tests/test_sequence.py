@@ -105,7 +105,7 @@ def test_points_that_are_no_numbers_are_left_out(bad):
     np.testing.assert_array_equal(sequence.points[1], CLOUDS[1][rest])
     np.testing.assert_allclose(present(sequence.normals[1]), NORMALS[1][rest], rtol=0, atol=1e-15)
     assert sequence.dropped == (0, 2)
-    assert sequence.warnings == ("points left out that are not finite or beyond 1e+30: 2 in frame 1",)
+    assert sequence.warnings == ("points left out that are not finite, beyond 1e+30 or all at one place: 2 in frame 1",)
 
 
 def test_duplicates_are_merged_and_told():
@@ -114,6 +114,17 @@ def test_duplicates_are_merged_and_told():
     np.testing.assert_array_equal(sequence.points[1], np.concatenate([CLOUDS[1], [[0.0, 0.0, 0.0]]]))
     assert sequence.merged == (0, 4, 0, 4)
     assert sequence.warnings == ("duplicate points merged: 8 in frames 1, 3",)
+
+
+def test_one_place_of_many_points_is_a_mark_of_nothing_seen():
+    """As the zeros of an organised cloud; not where others are repeated as often, nor where nothing else is there."""
+    seen = np.concatenate([np.zeros((30, 3)), CLOUDS[1], np.zeros((3, 3))])
+    sequence = PointSequence.from_arrays([CLOUDS[0], seen, np.repeat(CLOUDS[2], 12, axis=0)], [None, -seen, None])
+    np.testing.assert_array_equal(sequence.points[1], CLOUDS[1])
+    np.testing.assert_array_equal(sequence.points[2], CLOUDS[2])
+    assert (sequence.dropped, sequence.merged) == ((0, 33, 0), (0, 0, 11 * 40))
+    with pytest.raises(InputError, match="all points are equal"):
+        PointSequence.from_arrays([np.ones((40, 3))] * 2)
 
 
 def test_duplicates_are_those_that_unique_finds(rng):

@@ -70,6 +70,15 @@ def test_an_object_alone_keeps_all(rng, body):
         assert cut_static_planes(sequence) is sequence
 
 
+def test_a_flat_thing_upon_a_table_stays(rng):
+    """Though it holds as many points as the table, and so would leave nothing."""
+    card = [plane(rng, 800, ([0.4, 0, 0], [0, 0.3, 0]), np.array([0.1 * t, 0, 0.3])) for t in range(FRAMES)]
+    scene = [np.concatenate([plane(rng, 800, *FLOOR), c]) for c in card]
+    kept = cut_static_planes(PointSequence.from_arrays(scene))
+    for points, c in zip(kept.points, card, strict=True):
+        np.testing.assert_array_equal(points, c)
+
+
 def test_a_plane_that_moves_or_comes_late_is_no_floor(rng, body):
     moving = [np.concatenate([b, plane(rng, 1500, *FLOOR) - [0, 0, 0.3 * t]]) for t, b in enumerate(body)]
     late = [np.concatenate([b, plane(rng, 1500 if t > 3 else 0, *FLOOR)]) for t, b in enumerate(body)]

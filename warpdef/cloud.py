@@ -11,6 +11,8 @@ from warpdef.errors import InputError
 MIN_POINTS = 10
 LARGEST_COORDINATE = 1e30
 """Coordinates beyond it are no measurement, and squared they would leave float32."""
+MARK_SHARE, MARK_LEAST = 0.01, 10
+"""A position that so many points of a frame share, and no other position does, stands for nothing seen (0 0 0)."""
 SPACING_NEIGHBOURS = 8
 """Neighbours whose farthest tells a local spacing: sqrt(8 a / pi) on a surface with area a a point."""
 
@@ -37,8 +39,8 @@ def check_cloud(cloud: FramePoints, name: str) -> tuple[FramePoints, int, int, b
         cloud: as read; colours may have a fourth column, which is left out. name: of the frame, for errors.
 
     Returns:
-        Points and normals, float64, and colours, uint8; duplicates merged; points left out; whether normals were given
-        but are not usable.
+        Points and normals, float64, and colours, uint8; duplicates merged; points left out, marks of nothing seen among
+        them; whether normals were given but are not usable.
 
     Raises:
         InputError: a wrong shape, fewer than 10 different points, or all points equal.
@@ -58,8 +60,12 @@ def check_cloud(cloud: FramePoints, name: str) -> tuple[FramePoints, int, int, b
             )
         p, n, c = FramePoints(p, n, c).keep(~bad)
     unit = None if n is None else _unit(n)
-    whole = _merge_duplicates(FramePoints(p, unit, c))
+    whole, mark = _merge_duplicates(FramePoints(p, unit, c))
     merged, p = len(p) - len(whole.points), whole.points
+    if mark and len(p) > MIN_POINTS:
+        # An organised cloud of a sensor has a point a pixel, also where it measured nothing.
+        whole = whole.keep(~(p == mark[0]).all(axis=1))
+        merged, dropped, p = merged - mark[1] + 1, dropped + mark[1], whole.points
     if len(p) == 1:
         raise InputError(f"{name}: all points are equal; expected a surface, got a single position; drop this frame")
     if len(p) < MIN_POINTS:
@@ -123,7 +129,8 @@ def _unit(normals: np.ndarray) -> np.ndarray | None:
     return scaled / np.linalg.norm(scaled, axis=1)[:, None]
 
 
-def _merge_duplicates(cloud: FramePoints) -> FramePoints:
+def _merge_duplicates(cloud: FramePoints) -> tuple[FramePoints, tuple[np.ndarray, int] | None]:
+    """The cloud with each position once, and the position (3,) that stands for nothing seen, with its count."""
     points = cloud.points
     # Sorting a hash of each point is far quicker than sorting points. Stable: the first in the file comes first.
     hashes = _hashes(points)
@@ -135,10 +142,20 @@ def _merge_duplicates(cloud: FramePoints) -> FramePoints:
         pairs = np.arange(len(points) - 1)
         pairs = pairs[_equal(points, order, pairs)]
     if not len(pairs):
-        return cloud
+        return cloud, None
     kept = np.ones(len(points), dtype=bool)
     kept[order[pairs + 1]] = False
-    return cloud.keep(kept)
+    return cloud.keep(kept), _mark_of(points, order, pairs)
+
+
+def _mark_of(points: np.ndarray, order: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, int] | None:
+    """The one position that is repeated as no other is, by the places ``pairs`` of an order whose next is the same."""
+    starts = np.flatnonzero(np.diff(pairs, prepend=-2) > 1)
+    counts = np.diff(starts, append=len(pairs)) + 1
+    most, second = int(counts.argmax()), int(np.sort(counts)[-2]) if len(counts) > 1 else 1
+    if counts[most] < max(MARK_LEAST * second, MARK_SHARE * len(points)):
+        return None
+    return points[order[pairs[starts[most]]]], int(counts[most])
 
 
 def _equal(points: np.ndarray, order: np.ndarray, places: np.ndarray) -> np.ndarray:

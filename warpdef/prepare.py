@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
+from warpdef.cleaning.coarse_steps import tell_coarse_steps
 from warpdef.cleaning.crop import crop
 from warpdef.cleaning.far_points import drop_far
 from warpdef.cleaning.odd_frames import leave_out_odd
@@ -147,6 +148,7 @@ def clean(sequence: PointSequence, config: Config, device: wp.Device | None = No
         sequence = cut_static_planes(sequence)
     if config.drop_strays:
         sequence = drop_strays(sequence, device)
+    sequence = tell_coarse_steps(sequence)
     if config.cut_static:
         sequence = tell_static_parts(sequence)
     if config.order == "auto":

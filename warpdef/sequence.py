@@ -146,7 +146,7 @@ class PointSequence:
                 meshes, first = ("their meshes are", " The first") if several else ("its mesh is", " Why")
                 lines.append(f"{which} of {self.frame_count} cannot be used; {meshes} {done}.{first}: {gaps[0].why}")
         for counts, what in (
-            (self.dropped, f"points left out that are not finite or beyond {LARGEST_COORDINATE:g}"),
+            (self.dropped, f"points left out that are not finite, beyond {LARGEST_COORDINATE:g} or all at one place"),
             (self.merged, "duplicate points merged"),
         ):
             found = [n for n, count in zip(numbers, counts, strict=False) if count]

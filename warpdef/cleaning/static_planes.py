@@ -65,15 +65,23 @@ def find_static_planes(clouds: Sequence[np.ndarray]) -> list[Plane]:
     # Each is held against what none of them takes; one that is no static plane gives its points back.
     while planes:
         rest = [cloud[~_any_holds(planes, cloud)] for cloud in thin]
-        wrong = next((plane for plane in reversed(planes) if not _is_static(plane, thin, rest)), None)
-        if wrong is None:
+        wrong = [plane for plane in planes if not _is_static(plane, thin, rest)]
+        if not wrong:
             break
-        planes = [plane for plane in planes if plane is not wrong]
+        # The smallest first: a card on a table may hold as many points as the table.
+        least = min(reversed(wrong), key=lambda plane: _area(plane, thin))
+        planes = [plane for plane in planes if plane is not least]
     return [replace(plane, offset=plane.offset + float(plane.normal @ centre)) for plane in planes]
 
 
 def _any_holds(planes: Sequence[Plane], points: np.ndarray) -> np.ndarray:
     return np.any([plane.holds(points) for plane in planes], axis=0) if planes else np.zeros(len(points), dtype=bool)
+
+
+def _area(plane: Plane, clouds: Sequence[np.ndarray]) -> float:
+    """Of the box, in the plane, of the points that it holds."""
+    held = np.concatenate([cloud[plane.holds(cloud)] for cloud in clouds])
+    return float(np.prod(np.ptp(held @ np.linalg.svd(plane.normal[None])[2][1:].T, axis=0))) if len(held) else 0.0
 
 
 def _best_plane(clouds: Sequence[np.ndarray], least: float) -> Plane | None:

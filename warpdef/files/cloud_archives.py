@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warpdef.cloud import FramePoints
+from warpdef.cloud import MIN_POINTS, FramePoints
 from warpdef.errors import InputError
 from warpdef.files.columns import guess_roles, surface_of
 from warpdef.files.frame_files import select_frames
@@ -190,9 +190,14 @@ def _columns(rows: np.ndarray, where: str) -> FramePoints:
 
 
 def _require_stack(shape: Sequence[int], where: str) -> None:
-    if len(shape) == 3 and shape[2] in (3, 6):
+    if len(shape) == 3 and shape[2] in (3, 6) and not shape[1] < MIN_POINTS <= shape[0]:
         return
-    turned = len(shape) == 3 and 3 in shape[:2]
-    order = {True: (1, 2, 0), False: (0, 2, 1)}[turned and shape[0] == 3]
+    turned, order = len(shape) == 3 and (3 in shape[:2] or shape[2] in (3, 6)), (0, 2, 1)
+    if turned and shape[2] in (3, 6):
+        order = (1, 0, 2)
+    elif turned and shape[0] == 3:
+        order = (1, 2, 0)
     what = f"transpose it: points.transpose{order}" if turned else f"save unequal frames with {_UNEQUAL}"
+    if len(shape) == 2 and shape[1] in (3, 6):
+        what = f"that is one cloud: stack the frames along a new first axis, or {what}"
     raise InputError(f"{where}: expected shape (T, N, 3), got {tuple(shape)}; {what}")

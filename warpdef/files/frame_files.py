@@ -202,7 +202,9 @@ def _what_else(entries: Sequence[Path], suffixes: Sequence[str]) -> str:
     if archives:
         return f"none; give the file '{archives[0]}' itself"
     others = sorted({p.suffix.lower() for p in entries if p.suffix and not p.is_dir()})
-    return f"other suffixes ({' '.join(others[:6])}); convert the frames" if others else "none; check the path"
+    packed = [s for s in others if s in (".gz", ".zip", ".7z", ".xz", ".bz2", ".tar", ".tgz", ".rar", ".zst")]
+    what = "unpack them" if packed and packed == others else "convert the frames"
+    return f"other suffixes ({' '.join(others[:6])}); {what}" if others else "none; check the path"
 
 
 def select_frames(items: Sequence[_Item], frames: slice | None, minimum: int, where: Path) -> list[_Item]:

@@ -234,7 +234,10 @@ def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype, bool]:
 def _checked_header(stream: IO[bytes], size: int, where: str) -> tuple[tuple[int, ...], np.dtype, bool]:
     shape, dtype, first_fastest = _read_header(stream)
     if dtype.hasobject:
-        raise InputError(f"{where}: expected numbers, got Python objects, which are not read as they can run code")
+        raise InputError(
+            f"{where}: expected numbers, got Python objects, which are not read as they can run code; "
+            'save clouds of unequal length with np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})'
+        )
     if dtype.kind not in "fiu":
         raise InputError(f"{where}: expected real numbers, got {dtype}; convert them to float32")
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > size - stream.tell():

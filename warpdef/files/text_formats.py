@@ -88,7 +88,7 @@ def read_obj(path: Path) -> Surface:
 
 
 def read_off(path: Path) -> Surface:
-    """Vertices, faces and (NOFF) normals of an ASCII OFF file; colours and texture coordinates are passed over.
+    """Vertices, faces, (NOFF) normals and (COFF) colours of an ASCII OFF file; texture coordinates are passed over.
 
     Raises:
         InputError: not an OFF file, binary OFF, another dimension than 3, or fewer lines than declared.
@@ -112,8 +112,10 @@ def read_off(path: Path) -> Surface:
     except (ValueError, IndexError):
         raise InputError(f"{path}: expected OFF with its counts of vertices and faces, got something else") from None
     vertices, found = _Rows(f"{path}: vertex"), 0
+    coordinates = 6 if has_normals else 3
+    width = coordinates + 3 if keyword and keyword[2] else coordinates
     for words in islice(rows, min(vertex_count, len(text))):
-        vertices.add(words[: 6 if has_normals else 3])
+        vertices.add(words[:width])
         found += 1
     indices, counts = array("q"), array("q")
     for words in islice(rows, min(face_count, len(text))):
@@ -135,10 +137,11 @@ def read_off(path: Path) -> Surface:
             "lines; the file is truncated: write it again"
         )
     columns = vertices.table()
-    if has_normals and columns.shape[1] != 6 and vertex_count:
+    if has_normals and columns.shape[1] < 6 and vertex_count:
         raise InputError(f"{path}: expected 6 columns in a NOFF file, got {columns.shape[1]}")
     faces = fan_triangles(_indices(indices, vertex_count, str(path)), counts, str(path)) if counts else None
-    return Surface(columns[:, :3], columns[:, 3:] if has_normals else None, faces)
+    colors = byte_colors(columns[:, coordinates:]) if columns.shape[1] == coordinates + 3 else None
+    return Surface(columns[:, :3], columns[:, 3:6] if has_normals else None, faces, colors)
 
 
 class _Rows:
