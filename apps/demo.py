@@ -16,8 +16,8 @@ from warpdef.apps.console import ProgressDisplay, clean_stdout, print_json, say
 from warpdef.apps.evaluate import evaluate_run
 from warpdef.apps.exit_codes import EXIT_OK
 from warpdef.apps.metric_tables import print_means
-from warpdef.apps.reconstruct import RunOptions, finish, run_to_folder
 from warpdef.apps.run_summary import print_summary
+from warpdef.apps.run_to_folder import RunOptions, finish, run_to_folder
 from warpdef.apps.signals import exit_code
 from warpdef.progress import held_interrupts
 
