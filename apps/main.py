@@ -112,6 +112,10 @@ def _run(arguments: Sequence[str]) -> int:
 
 
 def _one_line(error: BaseException) -> str:
+    if isinstance(error, cyclopts.UnusedCliTokensError) and error.unused_tokens:
+        first, *more = error.unused_tokens
+        count = f" and {len(more)} more" if more else ""
+        return f"expected nothing more, got '{first}'{count}; give the folder where frames are several files"
     return " ".join(str(error).split())
 
 

@@ -67,6 +67,8 @@ def reconstruct(
         if input is None or output is None:
             missing = "INPUT" if input is None else "--output"
             raise InputError(f"reconstruct: expected {missing}, got none; see warpdef reconstruct --help")
+        if output.suffix:
+            _require_folder_name(output)
         run = run_to_folder(input, output, resolve_config(preset, config, flags), how)
     else:
         if preset != "default" or config is not None or flags is not None:
@@ -78,3 +80,13 @@ def reconstruct(
         elif not quiet:
             print_summary(run.result, run.path)
         return finish(run, strict)
+
+
+def _require_folder_name(output: Path) -> None:
+    from warpdef.export import FORMATS
+
+    if output.suffix[1:].lower() in FORMATS:
+        raise InputError(
+            f"--output: expected a folder for the result, got the name of a file, {output.name}; leave {output.suffix} "
+            f"out, and then: warpdef export {output.with_suffix('')} {output}"
+        )

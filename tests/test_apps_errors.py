@@ -167,6 +167,12 @@ def test_output_in_a_place_that_cannot_be(tmp_path: Path, capfd) -> None:
         (["reconstrct"], ['"reconstruct"']),
         (["reconstruct"], ["INPUT"]),
         (["reconstruct", "somewhere"], ["--output"]),
+        (
+            ["reconstruct", "0.ply", "1.ply", "2.ply", "-o", "out"],
+            ["nothing more, got '1.ply' and 1 more", "the folder"],
+        ),
+        (["reconstruct", "somewhere/*.ply", "-o", "out"], ["give the folder itself, not a pattern"]),
+        (["reconstruct", "somewhere", "-o", "out.glb"], ["a folder for the result", "warpdef export out out.glb"]),
         (["evaluate", "absent", "absent.npz"], ["absent"]),
         (["sample", "absent.npz", "-o", "clouds.npz"], ["absent.npz"]),
     ],

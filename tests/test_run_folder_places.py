@@ -156,6 +156,26 @@ def test_failure_leaves_the_old_result(tmp_path, monkeypatch, failing, failure, 
     assert load_run(out).keyframe == 5
 
 
+def test_a_result_whose_place_is_full_is_kept_elsewhere(tmp_path, monkeypatch):
+    """Among the temporary files, and whole; its own place is left as it was."""
+    spare, place = tmp_path / "spare", tmp_path / "place"
+    spare.mkdir(), place.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(spare))
+    write_ply = run_folder.write_ply
+    monkeypatch.setattr(
+        run_folder, "write_ply", lambda path, *a: full_disk() if path.is_relative_to(place) else write_ply(path, *a)
+    )
+    with pytest.raises(InputError, match=rf"No space left.*The finished result is in {spare}") as told:
+        save(RunFolder.prepare(place / "out"))
+    assert entries(place) == []
+    (kept,) = spare.glob("*/out")
+    assert str(told.value).endswith(str(kept)) and load_run(kept).vertices.shape == VERTICES.shape
+    monkeypatch.setattr(run_folder, "write_ply", full_disk)
+    with pytest.raises(InputError, match="or free space$"):
+        save(RunFolder.prepare(place / "out"))
+    assert len(entries(spare)) == 1
+
+
 def test_a_real_limit_on_file_size(tmp_path):
     resource = pytest.importorskip("resource")
     place = RunFolder.prepare(tmp_path / "out")

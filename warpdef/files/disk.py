@@ -32,7 +32,18 @@ def must_exist(path: Path) -> None:
     except (OSError, ValueError) as error:
         raise InputError(f"{path!s:.200}: cannot be opened ({reason(error)}); check the path") from None
     if not found:
-        raise InputError(f"{path!s:.200}: expected a file or folder, got nothing there; check the path")
+        raise InputError(f"{path!s:.200}: expected a file or folder, got nothing there; {_what_to_check(str(path))}")
+
+
+def _what_to_check(path: str) -> str:
+    """Where nothing stands: what the path looks like."""
+    if "*" in path or "?" in path:
+        return "give the folder itself, not a pattern"
+    if path.startswith("~"):
+        return "the shell did not put a home folder in place of '~': leave the quotes out"
+    if re.match(r"\w+:/", path):
+        return "give a path on this machine, not an address"
+    return "check the path"
 
 
 class Unpacking:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -136,8 +137,8 @@ class RunFolder:
 
         Raises:
             InputError: shapes that do not fit, or the folder cannot be written; then nothing is left behind and
-                an older result still stands. If the place was taken meanwhile, the result is kept beside it, and the
-                message says where.
+                an older result still stands. The result is then kept among the temporary files, or beside its place
+                if that was taken meanwhile, and the message says where.
         """
         sequence = MeshSequence(float32_where_exact(np.asarray(vertices)), faces)
         if len(names) != len(sequence) or not 0 <= keyframe < len(sequence):
@@ -152,26 +153,37 @@ class RunFolder:
         if appearance is not None and appearance.frame_colors is not None:
             if len(appearance.frame_colors) != len(sequence):
                 raise InputError(f"{self.path}: expected colours of {len(sequence)} frames, got others")
-        temporary = sibling(self.path, "partial")
-        try:
-            (temporary / "meshes").mkdir(parents=True)
-            arrays = {"vertices": sequence.vertices, "faces": sequence.faces}
-            arrays |= {"keyframe": np.array(keyframe, dtype=np.int64), "names": np.array(names, dtype=np.str_)}
-            arrays |= {} if appearance is None else appearance.arrays()
-            arrays |= {} if confidence is None else {"confidence": confidence}
-            write_npz(temporary / "sequence.npz", arrays)
+        arrays = {"vertices": sequence.vertices, "faces": sequence.faces}
+        arrays |= {"keyframe": np.array(keyframe, dtype=np.int64), "names": np.array(names, dtype=np.str_)}
+        arrays |= {} if appearance is None else appearance.arrays()
+        arrays |= {} if confidence is None else {"confidence": confidence}
+
+        def write(folder: Path) -> None:
+            (folder / "meshes").mkdir(parents=True)
+            write_npz(folder / "sequence.npz", arrays)
             if appearance is not None and appearance.texture is not None:
-                (temporary / f"texture.{appearance.texture.kind}").write_bytes(appearance.texture.data)
+                (folder / f"texture.{appearance.texture.kind}").write_bytes(appearance.texture.data)
             if motion is not None:
-                write_npz(temporary / "motion.npz", motion.arrays())
+                write_npz(folder / "motion.npz", motion.arrays())
             for frame, positions in enumerate(sequence.vertices):
                 shades = None if appearance is None else appearance.colors_of(frame)
-                write_ply(temporary / "meshes" / f"{frame:04d}.ply", positions, sequence.faces, shades)
-            write_text(temporary / "config.toml", config_to_toml(config))
-            write_text(temporary / "steps.jsonl", "".join(json_text(step, None) + "\n" for step in steps))
-            write_text(temporary / "report.json", json_text(report() if callable(report) else report) + "\n")
+                write_ply(folder / "meshes" / f"{frame:04d}.ply", positions, sequence.faces, shades)
+            write_text(folder / "config.toml", config_to_toml(config))
+            write_text(folder / "steps.jsonl", "".join(json_text(step, None) + "\n" for step in steps))
+            write_text(folder / "report.json", json_text(report() if callable(report) else report) + "\n")
             # Its checkpoint may go as soon as this returns: until then, a power failure must find one of the two.
-            settle(temporary)
+            settle(folder)
+
+        temporary = sibling(self.path, "partial")
+        try:
+            try:
+                write(temporary)
+            except (OSError, InputError) as error:
+                shutil.rmtree(temporary, ignore_errors=True)
+                why = f"{self.path}: cannot be written ({reason(error)}); choose another place or free space"
+                why = str(error) if isinstance(error, InputError) else why
+                kept = _write_elsewhere(write, self.path.name)
+                raise InputError(why + (f". The finished result is in {kept}" if kept else "")) from None
             place = _move_into_place(temporary, self.path, self.overwrite)
             settle_names(place.parent)
             return place
@@ -182,6 +194,19 @@ class RunFolder:
         finally:
             # Gone already after success; after anything else, Ctrl-C included, no half result may stay.
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _write_elsewhere(write: Callable[[Path], None], name: str) -> Path | None:
+    """A result whose own place is full or gone, among the temporary files, so that it is not lost; None: nor there."""
+    folder = None
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="warpdef-"))
+        write(folder / name)
+    except (OSError, InputError):
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+        return None
+    return folder / name
 
 
 def write_text(path: Path, text: str) -> None:
