@@ -17,6 +17,7 @@ from warpdef.cleaning.order import put_in_order
 from warpdef.cleaning.static_parts import tell_static_parts
 from warpdef.cleaning.static_planes import cut_static_planes
 from warpdef.cleaning.strays import drop_strays
+from warpdef.cleaning.useless_normals import leave_out_useless_normals
 from warpdef.config import Config
 from warpdef.config_values import parse_slice
 from warpdef.device import find_device
@@ -148,7 +149,7 @@ def clean(sequence: PointSequence, config: Config, device: wp.Device | None = No
         sequence = cut_static_planes(sequence)
     if config.drop_strays:
         sequence = drop_strays(sequence, device)
-    sequence = tell_coarse_steps(sequence)
+    sequence = leave_out_useless_normals(tell_coarse_steps(sequence))
     if config.cut_static:
         sequence = tell_static_parts(sequence)
     if config.order == "auto":
