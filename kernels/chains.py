@@ -10,10 +10,12 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from warpdef.kernels.cayley import rotate, rotate_along
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
 from warpdef.kernels.levels import node8
-from warpdef.kernels.motion import motion_gradient, move_vertex
+from warpdef.kernels.motion import motion_gradient
 from warpdef.kernels.sizes import sizes
+from warpdef.kernels.trilinear import part_jacobian, sample_part
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -35,7 +37,7 @@ class Routes:
 
 
 @sizes("threads: 2*V; nodes: S M; levels: 2*L; level_count: L; vertices: T V; rotation_out jacobian_out: S V")
-@wp.kernel(launch_bounds=(256, 3))
+@wp.kernel(launch_bounds=(256, 4))
 def _move_chains(
     # In:
     routes: Routes,
@@ -54,9 +56,20 @@ def _move_chains(
     i = k - d * vertices.shape[1]
     for step in range(routes.bounds[d], routes.bounds[d + 1]):
         s = routes.order[step]
-        move_vertex(
-            nodes, s, levels, level_count, i, routes.source[s], routes.target[s], vertices, rotation_out, jacobian_out
+        x = vertices[routes.source[s], i]
+        # First all of the rotation; the translation is then added to what is there already.
+        r = sample_part(nodes, s, levels, level_count, 0, x[0], x[1], x[2], part_jacobian())
+        z = wp.vec3(r[0, 0], r[0, 1], r[0, 2])
+        rotation_out[s, i] = z
+        moved = wp.matrix_from_rows(
+            rotate(z, x),
+            rotate(z, wp.vec3(1.0, 0.0, 0.0)) + rotate_along(z, x, wp.vec3(r[1, 0], r[1, 1], r[1, 2])),
+            rotate(z, wp.vec3(0.0, 1.0, 0.0)) + rotate_along(z, x, wp.vec3(r[2, 0], r[2, 1], r[2, 2])),
+            rotate(z, wp.vec3(0.0, 0.0, 1.0)) + rotate_along(z, x, wp.vec3(r[3, 0], r[3, 1], r[3, 2])),
         )
+        y = sample_part(nodes, s, levels, level_count, 3, x[0], x[1], x[2], moved)
+        vertices[routes.target[s], i] = wp.vec3(y[0, 0], y[0, 1], y[0, 2])
+        jacobian_out[s, i] = wp.matrix_from_rows(y[1], y[2], y[3])
 
 
 @sizes(

@@ -22,6 +22,7 @@ wp.set_module_options(MODULE_OPTIONS)
 LEVELS_MAX = 16  # as many as the configuration allows
 
 sample_jacobian = wp.types.matrix(shape=(4, 8), dtype=wp.float32)
+part_jacobian = wp.types.matrix(shape=(4, 3), dtype=wp.float32)
 
 # One register of eight floats: a vector extension on the CPU, two 16-byte halves on CUDA.
 _REGISTER = """
@@ -122,6 +123,17 @@ _CELL = """
     #endif
 """
 
+_SLOPES = """
+    #if !defined(__CUDA_ARCH__)
+        const float hx = slope[0][l], hy = slope[1][l], hz = slope[2][l];
+    #else
+        // A clamped axis does not move the sample.
+        const float hx = (gx >= 0.0f && gx <= top) ? half : 0.0f;
+        const float hy = (gy >= 0.0f && gy <= top) ? half : 0.0f;
+        const float hz = (gz >= 0.0f && gz <= top) ? half : 0.0f;
+    #endif
+"""
+
 _VALUE = (
     _REGISTER
     + """
@@ -169,15 +181,8 @@ _VALUE_AND_DERIVATIVE = (
     for (int l = 0; l < level_count; ++l) {
 """
     + _CELL
+    + _SLOPES
     + """
-    #if !defined(__CUDA_ARCH__)
-        const float hx = slope[0][l], hy = slope[1][l], hz = slope[2][l];
-    #else
-        // A clamped axis does not move the sample.
-        const float hx = (gx >= 0.0f && gx <= top) ? half : 0.0f;
-        const float hy = (gy >= 0.0f && gy <= top) ? half : 0.0f;
-        const float hz = (gz >= 0.0f && gz <= top) ? half : 0.0f;
-    #endif
         const float* q = base + 8 * node;
     #if !defined(__CUDA_ARCH__)
         if (n == 1) { sum = sum + LOAD(q); continue; }
@@ -191,8 +196,8 @@ _VALUE_AND_DERIVATIVE = (
         dy = dy + (LOW(ey) + (HIGH(ey) - LOW(ey)) * fz) * hy;
         dz = dz + ez * hz;
     #else
-        // Edge by edge along z: two corners at a time are all that registers hold beside the four sums.
-        #pragma unroll 2
+        // Edge by edge along z: of all corners at once registers would not hold the lerps beside the four sums.
+        #pragma unroll 4
         for (int edge = 0; edge < 4; ++edge) {
             const bool far_x = edge / 2, far_y = edge % 2;
             const float* const p = q + (far_x ? sx : 0) + (far_y ? sy : 0);
@@ -209,6 +214,54 @@ _VALUE_AND_DERIVATIVE = (
     wp::mat_t<4, 8, wp::float32> result;
     float* r = (float*)&result;
     STORE(r, sum * share); STORE(r + 8, dx * share); STORE(r + 16, dy * share); STORE(r + 24, dz * share);
+    return result;
+"""
+)
+
+# Three of the six numbers, from ``first`` on, 0 or 3, added onto what is there: whoever takes one half after the other
+# holds half as many numbers at a time.
+_PART = (
+    """
+    const float* base = (const float*)nodes.data + (size_t)transition * nodes.shape[1] * 8;
+    const float share = 1.0f / (float)level_count;
+    wp::mat_t<4, 3, wp::float32> result = onto;
+    float* r = (float*)&result;
+"""
+    + _CELLS
+    + """
+    for (int l = 0; l < level_count; ++l) {
+"""
+    + _CELL
+    + _SLOPES
+    + """
+        #pragma unroll 4
+        for (int edge = 0; edge < 4; ++edge) {
+            const bool far_x = edge / 2, far_y = edge % 2;
+            const float* const p = base + 8 * node + (far_x ? sx : 0) + (far_y ? sy : 0);
+            const float wx = share * (far_x ? fx : 1.0f - fx), wy = far_y ? fy : 1.0f - fy, w = wx * wy;
+            const float sharing = share * wy, along_x = far_x ? hx * sharing : -hx * sharing;
+            const float along_y = far_y ? hy * wx : -hy * wx, along_z = hz * w;
+            float low[3], high[3];
+    #if defined(__CUDA_ARCH__)
+            if (first == 0) {
+                const float4 a = *(const float4*)p, b = *(const float4*)(p + sz);
+                low[0] = a.x; low[1] = a.y; low[2] = a.z; high[0] = b.x; high[1] = b.y; high[2] = b.z;
+            } else {
+                const float2 a = *(const float2*)(p + 4), b = *(const float2*)(p + sz + 4);
+                low[0] = p[3]; low[1] = a.x; low[2] = a.y; high[0] = p[sz + 3]; high[1] = b.x; high[2] = b.y;
+            }
+    #else
+            for (int k = 0; k < 3; ++k) { low[k] = p[first + k]; high[k] = p[sz + first + k]; }
+    #endif
+            for (int k = 0; k < 3; ++k) {
+                const float rise = high[k] - low[k], between = low[k] + rise * fz;
+                r[k] += between * w;
+                r[3 + k] += between * along_x;
+                r[6 + k] += between * along_y;
+                r[9 + k] += rise * along_z;
+            }
+        }
+    }
     return result;
 """
 )
@@ -311,6 +364,20 @@ def sample_with_derivative(
     py: float,
     pz: float,
 ) -> sample_jacobian: ...
+
+
+@wp.func_native(_PART)
+def sample_part(
+    nodes: wp.array2d[node8],
+    transition: int,
+    levels: wp.array[wp.int32],
+    level_count: int,
+    first: int,
+    px: float,
+    py: float,
+    pz: float,
+    onto: part_jacobian,
+) -> part_jacobian: ...
 
 
 @wp.func_native(_SCATTER)

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 import warp as wp
+from cubin import Resources, resources
 
 import warpdef.kernels
-from warpdef.kernels import block_cg, sizes
+from warpdef.kernels import block_cg, chains, sizes
 from warpdef.kernels.clusters import CLUSTER
 
 ARCHITECTURE = 90
+CHAIN_REGISTERS = 64
 
 
 def modules_with_kernels() -> dict[str, wp.Module]:
@@ -57,6 +59,26 @@ def test_a_large_system_has_a_cluster(tmp_path: Path) -> None:
     ptx = text.read_text(encoding="utf-8")
     assert ptx.count("barrier.cluster.arrive.release") == ptx.count("barrier.cluster.wait.acquire") > 1
     assert f".reqnctapercluster {CLUSTER}, 1, 1" in ptx and f".maxntid {block_cg.BLOCK_LANES}, 1, 1" in ptx
+
+
+def test_chains_fit_into_their_registers(tmp_path: Path) -> None:
+    """Four blocks of 256 threads a multiprocessor, and nothing that a register has no room for."""
+    found = resources(compile_for_cuda(chains._move_chains.module, tmp_path))
+    assert len(found) == 2
+    assert all(r.registers <= CHAIN_REGISTERS and r.stack == 0 for r in found.values()), found
+
+
+def test_what_does_not_fit_into_registers_is_seen(tmp_path: Path) -> None:
+    @wp.func_native("float kept[40]; for (int k = 0; k < 40; ++k) kept[k] = i * k; return kept[(i * i) % 40];")
+    def many(i: int) -> float: ...
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def use_them(out: wp.array[wp.float32]):
+        i = wp.tid()
+        out[i] = many(i)  # pyright: ignore[reportIndexIssue] - Warp compiles this line
+
+    (found,) = resources(compile_for_cuda(use_them.module, tmp_path)).values()
+    assert found.stack >= 4 * 40 and found != Resources(found.registers, 0)
 
 
 def test_our_adjoints_are_written_by_hand() -> None:

@@ -6,11 +6,12 @@ import warp as wp
 
 from warpdef.kernels import trilinear
 from warpdef.kernels.levels import node8
-from warpdef.kernels.trilinear import sample_jacobian
+from warpdef.kernels.trilinear import part_jacobian, sample_jacobian
 
 CUDA_WORDS = """
     #define AS_CUDA 800
     #define __device__
+    struct float2 { float x, y; };
     #define make_float4(x, y, z, w) float4{x, y, z, w}
     const auto atomicAdd = [](float* p, float v) { *p += v; };
     const auto __activemask = []() { return 0u; };
@@ -49,6 +50,13 @@ def derivative_of(
 ) -> sample_jacobian: ...  # fmt: skip
 
 
+@wp.func_native(for_cpu(trilinear._PART))
+def part_of(
+    nodes: wp.array2d[node8], transition: int, levels: wp.array[wp.int32], level_count: int, first: int, px: float,
+    py: float, pz: float, onto: part_jacobian,
+) -> part_jacobian: ...  # fmt: skip
+
+
 @wp.func_native(for_cpu(trilinear._SCATTER))
 def add_to(
     adj_nodes: wp.array2d[node8], transition: int, levels: wp.array[wp.int32], level_count: int, px: float, py: float,
@@ -60,10 +68,13 @@ def add_to(
 def sample_all(
     nodes: wp.array2d[node8], levels: wp.array[wp.int32], points: wp.array[wp.vec3], adj: wp.array[node8],
     value: wp.array[node8], derivative: wp.array[sample_jacobian], adj_nodes: wp.array2d[node8],
+    parts: wp.array2d[part_jacobian],
 ):  # fmt: skip
     i = wp.tid()
     p = points[i]
     count = levels.shape[0] // 2
     value[i] = value_of(nodes, 1, levels, count, p[0], p[1], p[2])
     derivative[i] = derivative_of(nodes, 1, levels, count, p[0], p[1], p[2])
+    for half in range(2):
+        parts[half, i] = part_of(nodes, 1, levels, count, 3 * half, p[0], p[1], p[2], parts[half, i])
     add_to(adj_nodes, 1, levels, count, p[0], p[1], p[2], adj[i])
