@@ -41,5 +41,7 @@ def resources(binary: Path) -> dict[str, Resources]:
             found[attribute][symbol] = value
         at += 4 + (length if form == _SIZED else 0)
     symbols, strings = headers[place[".symtab"]][4], place[".strtab"]
-    named = {symbol: text(strings, struct.unpack_from("<I", data, symbols + 24 * symbol)[0]) for symbol in found[_STACK]}
+    named = {
+        symbol: text(strings, struct.unpack_from("<I", data, symbols + 24 * symbol)[0]) for symbol in found[_STACK]
+    }
     return {named[k]: Resources(value, found[_STACK][k]) for k, value in found[_REGISTERS].items()}
