@@ -13,6 +13,7 @@ Where one camera saw a body that turns, the template itself comes of all frames 
 
     growing                     outwards from the keyframe; where each frame is expected to have it
     surfels                     the surface known so far, as oriented points that bend
+    hidden                      a limb that a frame hides, put as the frames around it show it
 
 Without the paper's chain the mesh then follows the grids, frame by frame:
 

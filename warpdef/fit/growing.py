@@ -19,6 +19,7 @@ import numpy as np
 from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.fit.embedded import Pose
+from warpdef.fit.hidden import bent_as_shown
 from warpdef.fit.surfels import SeenFrame, Surfels, nearest_facing
 from warpdef.geometry.cloud_planes import unit_vectors
 from warpdef.geometry.coverage import area_of_discs
@@ -113,6 +114,7 @@ def template_of_all(
     except InputError as error:
         return None, f"{turns}, but no template came of all frames ({error}): it is what one frame shows"
     note = f"{turns}: the template is made of all frames; none shows {unseen:.0%} of it"
+    growth.show_hidden()
     placed = growth.places(chosen.mesh, len(clouds))
     return replace(
         chosen, keyframe=keyframe, why=f"{why}; {note}", warnings=[note, *chosen.warnings], placed=placed
@@ -219,6 +221,10 @@ class _Growth:
         kept = total > SUPPORTED * np.median(total)
         across = (weight * off).sum(axis=1)[kept] / total[kept]
         return points[speaks][kept] + across[:, None] * mean[kept], mean[kept]
+
+    def show_hidden(self) -> None:
+        """What frames hide, put as the frames around them show it."""
+        self.poses = bent_as_shown(self.surfels, self.frames, self.poses, self.keyframe)
 
     def places(self, mesh: TriMesh, frame_count: int) -> np.ndarray:
         """Where the mesh is in all frames, (T, V, 3) float32; in frames not followed as in the nearest that was."""

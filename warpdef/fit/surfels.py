@@ -158,19 +158,31 @@ class Surfels:
         turn, shift = _turn(placed, facing, self.border, frame)
         anchor = self.points[self.graph.node]
         pose = Pose(turn @ start.rotation, (anchor + start.shift) @ turn.T + shift - anchor)
+        for stage in STAGES:
+            pose = self.settled(frame, pose, stage)
+        return pose
+
+    def settled(
+        self, frame: SeenFrame, start: Pose, stage: tuple[float, float, int], bend: np.ndarray | None = None
+    ) -> Pose:
+        """The pose bent onto a frame from one near it, with reach, rigidity and steps at most as in ``STAGES``.
+
+        bend: how links are bent where nothing else is known, (e, 3) in the frame of their first node; None: not at all.
+        """
         points, normals = frame.points[frame.sample], frame.normals[frame.sample]
-        placed, facing = self.place(pose)
-        for reach, rigidity, steps in STAGES:
-            for _ in range(steps):
-                surfel, point, weight = _matches(placed, facing, self.border, frame, reach)
-                if not len(surfel):
-                    return pose
-                goal = points[point], normals[point]
-                pose = self.graph.step(self.points, pose, surfel, *goal, rigidity, ALONG, weight)
-                before = placed
-                placed, facing = self.place(pose)
-                if np.abs(placed - before).max() < STILL * frame.spacing:
-                    break
+        reach, rigidity, steps = stage
+        pose, (placed, facing) = start, self.place(start)
+        for _ in range(steps):
+            surfel, point, weight = _matches(placed, facing, self.border, frame, reach)
+            if not len(surfel):
+                break
+            goal = points[point], normals[point]
+            usual = None if bend is None else np.einsum("eab,eb->ea", pose.rotation[self.graph.link[:, 0]], bend)
+            pose = self.graph.step(self.points, pose, surfel, *goal, rigidity, ALONG, weight, usual)
+            before = placed
+            placed, facing = self.place(pose)
+            if np.abs(placed - before).max() < STILL * frame.spacing:
+                break
         return pose
 
     def pull_back(self, frame: SeenFrame, pose: Pose) -> Pulled:
