@@ -19,7 +19,7 @@ from warpdef.fit.surfels import STAGES, SeenFrame, Surfels
 RIGIDITIES, STEPS = (1.0, 0.1, 0.1), 5
 """Of the rounds, each on what the one before it shows, and Gauss-Newton steps of a round at most: stiff first, so that
 whole limbs arrive."""
-_TINY = 1e-12
+_LEAST = 1e-9  # length, cube units
 
 
 def bent_as_shown(
@@ -66,7 +66,7 @@ def as_others_show(vectors: np.ndarray, known: np.ndarray, times: np.ndarray) ->
     begin, end = vectors[first, np.arange(links)], vectors[last, np.arange(links)]
     length = (1.0 - share) * np.linalg.norm(begin, axis=2) + share * np.linalg.norm(end, axis=2)
     mixed = (1.0 - share[..., None]) * begin + share[..., None] * end
-    return mixed * (length / np.maximum(np.linalg.norm(mixed, axis=2), _TINY))[..., None]
+    return mixed * (length / np.maximum(np.linalg.norm(mixed, axis=2), _LEAST))[..., None]
 
 
 def _with_beside(held: np.ndarray, graph: DeformationGraph) -> np.ndarray:
