@@ -12,6 +12,7 @@ import warp as wp
 from warpdef.cleaning.coarse_steps import tell_coarse_steps
 from warpdef.cleaning.crop import crop
 from warpdef.cleaning.far_points import drop_far
+from warpdef.cleaning.frame_sides import turn_to_one_side
 from warpdef.cleaning.odd_frames import leave_out_odd
 from warpdef.cleaning.order import put_in_order
 from warpdef.cleaning.static_parts import tell_static_parts
@@ -149,7 +150,7 @@ def clean(sequence: PointSequence, config: Config, device: wp.Device | None = No
         sequence = cut_static_planes(sequence)
     if config.drop_strays:
         sequence = drop_strays(sequence, device)
-    sequence = leave_out_useless_normals(tell_coarse_steps(sequence))
+    sequence = turn_to_one_side(leave_out_useless_normals(tell_coarse_steps(sequence)))
     if config.cut_static:
         sequence = tell_static_parts(sequence)
     if config.order == "auto":

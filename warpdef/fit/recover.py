@@ -105,13 +105,15 @@ class Matches:
         cosine = (vertex_normals(vertices, s.faces) * self.cloud.normals[nearest]).sum(axis=1)
         on = distance < reach * self.spacing
         on &= (cosine if self.cloud.oriented else np.abs(cosine)) > agreement
+        on[len(s.component) :] = False  # the last vertices of a template given may be of no face
         kept = s.edges[on[s.edges].all(axis=1)]
         part = component_labels(kept[:, 0], kept[:, 1], len(vertices))
         # A separate object is no lost limb: of every component of the mesh the largest part counts.
         size = np.bincount(part[on], minlength=part.max() + 1)
         largest = np.zeros(s.component.max() + 1, dtype=int)
-        np.maximum.at(largest, s.component[on], size[part[on]])
-        trusted = np.flatnonzero(on & (size[part] == largest[s.component]))
+        of_faces = slice(len(s.component))
+        np.maximum.at(largest, s.component[on[of_faces]], size[part[on]])
+        trusted = np.flatnonzero(on[of_faces] & (size[part[of_faces]] == largest[s.component]))
         return trusted, self.cloud.points[nearest[trusted]], self.cloud.normals[nearest[trusted]]
 
     def uncovered(self, vertices: np.ndarray) -> float:
