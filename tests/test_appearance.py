@@ -146,6 +146,37 @@ def test_through_a_run_folder_to_an_export(result, tmp_path):
     np.testing.assert_array_equal(present(again.uv)[present(again.faces)], CORNER_UV)
 
 
+def test_seams_double_no_vertex_where_corners_have_places_of_their_own(result, tmp_path):
+    """Vertices stay the template's, in number and order, in .obj and for the point caches; shading has no crease."""
+    animation = load_animation(result)
+    assert animation.vertices.shape[1] > COUNT == animation.joined.vertices.shape[1]
+    export(animation, tmp_path / "a.obj")
+    again = read_geometry(tmp_path / "a.obj" / "0001.obj")
+    np.testing.assert_allclose(again.points, MOVING[1], atol=1e-6)
+    np.testing.assert_array_equal(again.faces, FACES)
+    np.testing.assert_array_equal(present(again.corner_uv).astype(np.float32), CORNER_UV)
+    for suffix, start in (("pc2", 32), ("mdd", 8 + 4 * 2)):
+        export(animation, tmp_path / f"b.{suffix}")
+        assert (tmp_path / f"b.{suffix}").stat().st_size == start + 2 * COUNT * 12
+        assert len(read_geometry(tmp_path / f"b_{suffix}.obj").points) == COUNT
+    shaded = animation.normals_of(1)
+    np.testing.assert_array_equal(shaded[COUNT:], shaded[present(animation.copies)])
+
+
+def test_seams_in_usd(result, tmp_path):
+    usd = pytest.importorskip("pxr.Usd")
+    from pxr import UsdGeom
+
+    export(load_animation(result), tmp_path / "a.usdc")
+    stage = usd.Stage.Open(str(tmp_path / "a.usdc"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/warpdef/mesh"))
+    np.testing.assert_array_equal(np.array(mesh.GetPointsAttr().Get(1)), MOVING[1].astype(np.float32))
+    np.testing.assert_array_equal(np.array(mesh.GetFaceVertexIndicesAttr().Get()), FACES.ravel())
+    st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
+    assert st.GetInterpolation() == "faceVarying"
+    np.testing.assert_array_equal(np.array(st.Get()).reshape(-1, 3, 2), CORNER_UV)
+
+
 def test_normals_given_are_written(tmp_path):
     normals = np.stack([VERTICES, -VERTICES]).astype(np.float32)
     look = Appearance(COLORS, UV)

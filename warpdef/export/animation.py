@@ -40,6 +40,7 @@ class Animation:
     metres_per_unit: length of the input's unit, metres
     colors:          red, green, blue and perhaps alpha, sRGB    (V, 3) or (V, 4) uint8, or None
     frame_colors:    colours of every frame, in their place      (T, V, 3) uint8, or None
+    copies:          of the last vertices, doubled along a texture's seams, the vertex that each copies  (C,), or None
     uv:              texture coordinates, origin lower left      (V, 2) float32, or None
     normals:         where they are not those of the faces       (T, V, 3) float32, or None
     origin:          point that the mesh's positions count from  (3,) float64, input units; chosen if not given: 0, but
@@ -60,6 +61,7 @@ class Animation:
     texture: Texture | None = None
     measured: VertexValues | None = None
     frame_colors: np.ndarray | None = None
+    copies: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.fps) and self.fps > 0.0):
@@ -132,7 +134,24 @@ class Animation:
         """Unit normals of a frame, those given or those of the faces, shape (V, 3) float32."""
         if self.normals is not None:
             return self.normals[frame]
+        if self.copies is not None:  # a seam of the texture is no edge of the surface
+            normals = self.joined.normals_of(frame)
+            return np.concatenate([normals, normals[self.copies]])
         return vertex_normals(self.vertices[frame], self.faces)
+
+    @cached_property
+    def joined(self) -> Animation:
+        """The same without copies of vertices, for formats whose faces have texture places of their own, or none: the
+        mesh's own vertices in their own number and order, without ``uv`` and texture."""
+        if self.copies is None:
+            return self
+        count = self.vertices.shape[1] - len(self.copies)
+        owner = np.concatenate([np.arange(count), self.copies])
+        meshes = MeshSequence(self.vertices[:, :count], owner[self.faces])
+        fewer = {"normals": self.normals, "frame_colors": self.frame_colors}
+        own = {name: None if values is None else values[:, :count] for name, values in fewer.items()}
+        colors = None if self.colors is None else self.colors[:count]
+        return replace(self, meshes=meshes, colors=colors, uv=None, texture=None, copies=None, **own)
 
     @cached_property
     def moving_colors(self) -> np.ndarray | None:
@@ -159,14 +178,15 @@ def dress(
     Raises:
         InputError: something does not fit, or a number is out of range.
     """
-    colors, uv, moving = look.colors, look.uv, look.frame_colors
+    colors, uv, moving, copies = look.colors, look.uv, look.frame_colors, None
     if look.corner_uv is not None:
         source, faces, uv = split_seams(look.corner_uv, faces, vertices.shape[1])
+        copies = source[vertices.shape[1] :] if len(source) > vertices.shape[1] else None
         vertices = vertices[:, source]
         colors, normals = None if colors is None else colors[source], None if normals is None else normals[:, source]
         moving = None if moving is None else moving[:, source]
     more = {"colors": colors, "uv": uv, "normals": normals, "texture": look.texture, "frame_colors": moving}
-    return Animation(MeshSequence(vertices, faces), **more, **how)
+    return Animation(MeshSequence(vertices, faces), copies=copies, **more, **how)
 
 
 def load_animation(

@@ -27,6 +27,7 @@ def write_anime(animation: Animation, path: Path) -> None:
             f"{path.name}: expected a mesh near the origin, as .anime holds float32 alone, got one around ({where}); "
             "export to .npz or .ply, which then hold float64, or shift the input"
         )
+    animation = animation.joined
     vertices = animation.vertices
     with open(path, "wb") as stream:
         stream.write(struct.pack("<iii", len(vertices), vertices.shape[1], len(animation.faces)))

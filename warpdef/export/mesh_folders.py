@@ -96,17 +96,19 @@ def write_obj_folder(animation: Animation, folder: Path) -> None:
 
 def obj_text(animation: Animation, frame: int, local: bool = False) -> bytes:
     """One frame as OBJ: nine digits, which hold a float32 exactly, or all of a float64's far from the origin; colours
-    follow the position; ``vt`` for ``uv``, ``vn`` for normals, ``s 1`` for smooth shading.
+    follow the position; ``vt`` for ``uv``, ``vn`` for normals, ``s 1`` for smooth shading. Vertices are the mesh's own:
+    along seams of a texture only its places are doubled.
 
     Args:
         local: for a mesh alone that another file will move: positions count from the animation's origin, which a
             comment names, no material is, and normals only where they are given, as those of the faces move with them.
     """
     # One format string for the whole table: many times faster than a line at a time.
-    positions = animation.vertices[frame]
+    shown = animation.joined
+    positions = shown.vertices[frame]
     columns = [positions if local or not animation.is_far else positions + animation.origin]
     line = "v %.9g %.9g %.9g" if columns[0].dtype == np.float32 else "v %.17g %.17g %.17g"
-    if (colors := animation.colors_of(frame)) is not None:
+    if (colors := shown.colors_of(frame)) is not None:
         columns.append(colors[:, :3] / 255.0)
         line += " %.6g %.6g %.6g"
     table = np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
@@ -116,15 +118,16 @@ def obj_text(animation: Animation, frame: int, local: bool = False) -> bytes:
     if animation.texture is not None and not local:
         mark += f"mtllib {LIBRARY}\nusemtl {MATERIAL}\n"
     text = mark + f"{line}\n" * len(table) % tuple(table.ravel().tolist())
-    corner, given = "%d", 1
+    corner, given = "%d", [shown.faces]
     has_normals = animation.normals is not None or not local
     if has_normals:
         # Seven digits: normals are directions of unit length.
-        text += "vn %.7g %.7g %.7g\n" * len(table) % tuple(animation.normals_of(frame).astype(float).ravel().tolist())
-        corner, given = "%d//%d", 2
+        text += "vn %.7g %.7g %.7g\n" * len(table) % tuple(shown.normals_of(frame).astype(float).ravel().tolist())
+        corner, given = "%d//%d", [shown.faces, shown.faces]
     if animation.uv is not None:
-        text += "vt %.9g %.9g\n" * len(table) % tuple(animation.uv.astype(np.float64).ravel().tolist())
-        corner, given = ("%d/%d/%d", 3) if has_normals else ("%d/%d", 2)
-    indices = np.repeat(animation.faces + 1, given, axis=1)
+        uv = animation.uv.astype(np.float64)
+        text += "vt %.9g %.9g\n" * len(uv) % tuple(uv.ravel().tolist())
+        corner, given = "%d/%d/%d" if has_normals else "%d/%d", [shown.faces, animation.faces, *given[1:]]
+    indices = np.stack(given, axis=2).reshape(len(shown.faces), -1) + 1
     text += "s 1\n" + f"f {corner} {corner} {corner}\n" * len(indices) % tuple(indices.ravel().tolist())
     return text.encode("ascii")

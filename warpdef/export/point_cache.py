@@ -23,19 +23,21 @@ from warpdef.export.mesh_folders import obj_text
 
 def write_pc2(animation: Animation, path: Path) -> None:
     """Write ``path`` and its base mesh, the first frame."""
-    count = animation.vertices.shape[1]
+    vertices = animation.joined.vertices
+    count = vertices.shape[1]
     with open(path, "wb") as stream:
         stream.write(struct.pack("<12siiffi", b"POINTCACHE2\0", 1, count, 0.0, 1.0, len(animation)))
-        stream.write(np.ascontiguousarray(animation.vertices, dtype="<f4").tobytes())
+        stream.write(np.ascontiguousarray(vertices, dtype="<f4").tobytes())
     _write_base(animation, path)
 
 
 def write_mdd(animation: Animation, path: Path) -> None:
     """Write ``path`` and its base mesh, the first frame."""
+    vertices = animation.joined.vertices
     with open(path, "wb") as stream:
-        stream.write(struct.pack(">ii", len(animation), animation.vertices.shape[1]))
+        stream.write(struct.pack(">ii", len(animation), vertices.shape[1]))
         stream.write(animation.times.astype(">f4").tobytes())
-        stream.write(animation.vertices.astype(">f4").tobytes())
+        stream.write(vertices.astype(">f4").tobytes())
     _write_base(animation, path)
 
 

@@ -20,6 +20,7 @@ def write_stl_folder(animation: Animation, folder: Path) -> None:
     from trimesh.exchange.stl import export_stl
 
     folder.mkdir()
+    animation = animation.joined
     for frame, positions in enumerate(animation.vertices):
         mesh = trimesh.Trimesh(positions, animation.faces, process=False)
         (folder / f"{frame:04d}.stl").write_bytes(export_stl(mesh))
@@ -41,6 +42,7 @@ def write_3mf_folder(animation: Animation, folder: Path) -> None:
         except ImportError as error:
             raise MissingPackageError(f".3mf needs {name} ({error}); install it: pip install {name}") from error
     folder.mkdir()
+    animation = animation.joined
     for frame, positions in enumerate(animation.vertices):
         places = positions.astype(np.float64) * (1000.0 * animation.metres_per_unit)
         mesh = trimesh.Trimesh(places, animation.faces, process=False)

@@ -17,9 +17,10 @@ def write_usd(animation: Animation, path: Path) -> None:
     """Write .usd, .usda, .usdc or .usdz by the suffix of ``path``.
 
     Time codes are frame numbers from 0. Triangles are shaded smoothly by the normals of every frame. Colours go to
-    ``displayColor`` (linear), which the material reads, and ``displayOpacity``; a measure's and those of every frame
-    are time samples. Texture coordinates go to ``primvars:st``. Data far from its origin stands there by a translation
-    of the parent. A texture's image is a file beside it, ``walk_usdc_warpdef_texture.png``; a .usdz holds it itself.
+    ``displayColor`` (linear), which the material reads, and ``displayOpacity``; a measure's and those of every
+    frame are time samples. Texture coordinates go to ``primvars:st``, by the faces' corners where it has seams.
+    Data far from its origin stands there by a translation of the parent. A texture's image is a file beside it,
+    ``walk_usdc_warpdef_texture.png``; a .usdz holds it itself.
 
     Raises:
         MissingPackageError: usd-core is not installed.
@@ -55,9 +56,10 @@ def write_usd(animation: Animation, path: Path) -> None:
         ) from None
 
 
-def _fill(stage: Any, animation: Animation) -> None:
+def _fill(stage: Any, dressed: Animation) -> None:
     from pxr import Gf, Sdf, UsdGeom, Vt
 
+    animation = dressed.joined
     UsdGeom.SetStageUpAxis(stage, {"y": UsdGeom.Tokens.y, "z": UsdGeom.Tokens.z}[animation.up])
     UsdGeom.SetStageMetersPerUnit(stage, animation.metres_per_unit)
     stage.SetTimeCodesPerSecond(animation.fps)
@@ -95,7 +97,10 @@ def _fill(stage: Any, animation: Animation) -> None:
         if light.shape[1] == 4:
             opacity = mesh.CreateDisplayOpacityPrimvar(UsdGeom.Tokens.vertex)
             opacity.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(light[:, 3])))
-    if animation.uv is not None:
+    if dressed.uv is not None:
         kind = Sdf.ValueTypeNames.TexCoord2fArray
-        st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, UsdGeom.Tokens.vertex)
-        st.Set(Vt.Vec2fArray.FromNumpy(animation.uv))
+        by, uv = UsdGeom.Tokens.vertex, dressed.uv
+        if dressed.copies is not None:
+            by, uv = UsdGeom.Tokens.faceVarying, np.ascontiguousarray(uv[dressed.faces].reshape(-1, 2))
+        st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, by)
+        st.Set(Vt.Vec2fArray.FromNumpy(uv))
