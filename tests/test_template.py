@@ -57,7 +57,7 @@ def config(**options) -> Config:
 @pytest.mark.parametrize("given", [True, False])
 def test_a_ball_becomes_a_closed_even_outward_mesh_on_its_points(backend, rng, given):
     points, normals = ball(rng)
-    built = template.build(points, normals if given else None, SMALL, backend)
+    built = building.build(points, normals if given else None, SMALL, backend)
     vertices, faces = built.mesh.vertices, built.mesh.faces
     assert triangles.is_watertight(faces)
     assert triangles.euler_number(faces) == 2
@@ -74,14 +74,14 @@ def test_a_ball_becomes_a_closed_even_outward_mesh_on_its_points(backend, rng, g
 
 def test_faces_follow_the_points_below_the_bound(backend, rng):
     points, normals = ball(rng, 400)
-    built = template.build(points, normals, TemplateConfig(faces_per_point=2.0), backend)
+    built = building.build(points, normals, TemplateConfig(faces_per_point=2.0), backend)
     assert built.report.faces_target == 800
     assert 0.9 * 800 <= len(built.mesh.faces) <= 800
 
 
 def test_the_same_cloud_gives_the_same_bytes_and_nothing_is_printed(backend, rng, capfd):
     points, _ = ball(rng)
-    one, two = (template.build(points.copy(), None, SMALL, backend).mesh for _ in range(2))
+    one, two = (building.build(points.copy(), None, SMALL, backend).mesh for _ in range(2))
     assert one.vertices.tobytes() == two.vertices.tobytes()
     assert one.faces.tobytes() == two.faces.tobytes()
     assert capfd.readouterr() == ("", "")
@@ -89,8 +89,8 @@ def test_the_same_cloud_gives_the_same_bytes_and_nothing_is_printed(backend, rng
 
 def test_units_and_place_do_not_matter(rng):
     points, normals = ball(rng)
-    near = template.build(points, normals, SMALL)
-    far = template.build(points * 1000.0 + 5000.0, normals, SMALL)
+    near = building.build(points, normals, SMALL)
+    far = building.build(points * 1000.0 + 5000.0, normals, SMALL)
     assert near.report.depth == far.report.depth
     volume = triangles.signed_volume(near.mesh.vertices, near.mesh.faces)
     assert triangles.signed_volume(far.mesh.vertices, far.mesh.faces) == pytest.approx(volume * 1e9, rel=1e-3)
@@ -99,7 +99,7 @@ def test_units_and_place_do_not_matter(rng):
 
 def test_inverted_normals_are_turned_over_and_told(rng):
     points, normals = ball(rng)
-    built = template.build(points, -normals, SMALL)
+    built = building.build(points, -normals, SMALL)
     assert triangles.signed_volume(built.mesh.vertices, built.mesh.faces) > 0
     assert built.report.flipped == len(points)
     assert "600 of 600 given normals pointed inwards" in built.warnings[0]
@@ -109,7 +109,7 @@ def test_a_second_body_gets_a_piece_of_its_own_and_crumbs_are_left_out(rng):
     points, normals = ball(rng, 800, (0.3, 0.3, 0.3))
     second, crumb = points[:400] * 0.6 + [0.7, 0, 0], points[:15] * 0.2 + [0, 0.8, 0]
     cloud = np.concatenate([points, second, crumb])
-    built = template.build(cloud, np.concatenate([normals, normals[:400], normals[:15]]), SMALL)
+    built = building.build(cloud, np.concatenate([normals, normals[:400], normals[:15]]), SMALL)
     assert triangles.face_components(built.mesh.faces).max() == 1
     assert triangles.is_watertight(built.mesh.faces)
     assert built.mesh.vertices[:, 0].max() > 0.8 and built.mesh.vertices[:, 1].max() < 0.4
@@ -119,14 +119,14 @@ def test_a_second_body_gets_a_piece_of_its_own_and_crumbs_are_left_out(rng):
 def test_depth_follows_the_spacing_and_an_explicit_depth_is_kept(rng):
     sparse, dense = ball(rng, 500)[0], ball(rng, 8000)[0]
     assert building.depth_by_spacing(dense) == building.depth_by_spacing(sparse) + 2
-    assert template.build(*ball(rng), replace(SMALL, depth=5)).report.depth == 5
+    assert building.build(*ball(rng), replace(SMALL, depth=5)).report.depth == 5
 
 
 def test_a_cloud_on_a_line_is_an_input_error(rng):
     line = np.column_stack([np.linspace(-1, 1, 50), np.zeros(50), np.zeros(50)])
     broken = poisson.Backend("none", no_mesh, no_mesh)
     with pytest.raises(InputError, match="does not look like a closed surface"):
-        template.build(line, None, SMALL, broken)
+        building.build(line, None, SMALL, broken)
 
 
 def flat_mesh(*_):
@@ -135,7 +135,7 @@ def flat_mesh(*_):
 
 def test_a_surface_without_area_is_an_input_error(rng):
     with pytest.raises(InputError, match="no area"):
-        template.build(ball(rng)[0], None, SMALL, poisson.Backend("none", flat_mesh, flat_mesh))
+        building.build(ball(rng)[0], None, SMALL, poisson.Backend("none", flat_mesh, flat_mesh))
 
 
 def test_a_failing_remesh_is_an_input_error(rng):
@@ -145,16 +145,16 @@ def test_a_failing_remesh_is_an_input_error(rng):
         raise ValueError("Input mesh is non-manifold.")
 
     with pytest.raises(InputError, match="cannot be remeshed .*non-manifold"):
-        template.build(ball(rng)[0], None, SMALL, poisson.Backend("none", lambda *_: sphere, refuse))
+        building.build(ball(rng)[0], None, SMALL, poisson.Backend("none", lambda *_: sphere, refuse))
     nothing = poisson.Backend("none", lambda *_: sphere, lambda *_: (np.zeros((0, 3)), np.zeros((0, 3), np.int32)))
     with pytest.raises(InputError, match="lost the surface"):
-        template.build(ball(rng)[0], None, SMALL, nothing)
+        building.build(ball(rng)[0], None, SMALL, nothing)
 
 
 def test_an_inside_out_surface_is_turned(rng):
     vertices, faces = icosphere(2)
     inside_out = poisson.Backend("none", lambda *_: (vertices, faces[:, ::-1]), lambda v, f, h: (v, f))
-    built = template.build(ball(rng)[0], None, SMALL, inside_out)
+    built = building.build(ball(rng)[0], None, SMALL, inside_out)
     assert triangles.signed_volume(built.mesh.vertices, built.mesh.faces) > 0
 
 
@@ -222,6 +222,46 @@ def test_a_frame_without_handles_is_found_among_frames_that_touch_themselves(rng
     chosen = template.choose_template([ring, ring, gapped], [None] * 3, config(attempts=3, faces_max=800))
     assert chosen.keyframe == 2 and chosen.gate.handles == 0 and chosen.warnings == []
     assert "handles of the template: 0 here, 1 in frame 1, 1 in frame 0" in chosen.why
+
+
+def counting_remeshes(monkeypatch, remesh=None) -> list[int]:
+    """Faces of every surface that is remeshed; by ``remesh`` if given."""
+    backend, asked = template.load_backend("auto"), []
+
+    def counted(vertices, faces, edge_length):
+        asked.append(len(faces))
+        return (remesh or backend.remesh)(vertices, faces, edge_length)
+
+    monkeypatch.setattr(template, "load_backend", lambda name: replace(backend, remesh=counted))
+    return asked
+
+
+def test_only_what_is_taken_gets_even_triangles(rng, monkeypatch):
+    asked = counting_remeshes(monkeypatch)
+    ring = broken_ring(rng, 0.0, 1500)
+    roomy = config(attempts=3, surface="closed", faces_max=800)
+    chosen = template.choose_template([ring] * 3, [None] * 3, roomy)
+    once = len(asked)
+    assert "1 here, 1 in frame" in chosen.why and chosen.gate.quality > 0.9 and chosen.gate.faces <= 800
+    asked.clear()
+    alone = template.choose_template([ring] * 3, [None] * 3, replace(roomy, keyframe=KeyframeConfig(choice="1")))
+    assert once == len(asked) and np.array_equal(chosen.mesh.faces, alone.mesh.faces)
+
+
+def test_a_draft_that_cannot_be_finished_makes_way_for_the_next(rng, monkeypatch):
+    refused = []
+
+    def refuse_first(vertices, faces, edge_length):
+        if not refused:
+            refused.append(len(faces))
+            raise ValueError("Input mesh is non-manifold.")
+        return vertices, faces
+
+    counting_remeshes(monkeypatch, refuse_first)
+    clouds = [ball(rng, count)[0] for count in (600, 620, 640)]
+    chosen = template.choose_template(clouds, [None] * 3, config(attempts=2, surface="closed"))
+    assert len(refused) == 1 and chosen.gate.passed and len(chosen.warnings) == 1
+    assert "gave no template: the reconstructed surface cannot be remeshed" in chosen.warnings[0]
 
 
 def test_one_handle_is_no_reason_to_begin_at_the_end(rng):

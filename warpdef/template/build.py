@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,15 +16,13 @@ from warpdef.geometry.coverage import objects_of
 from warpdef.geometry.sampling import mean_spacing
 from warpdef.mesh import TriMesh
 from warpdef.template.cut import cut_at_zero
+from warpdef.template.even import even_triangles, remesh_open
 from warpdef.template.poisson import Backend, load_backend
 from warpdef.template.support import Support
 from warpdef.template.tetrahedra import fit_surface
 from warpdef.template.trim import crop, find_trimming
 
 FLIPPED_WARN = 0.005  # share of given normals; below, it may be the estimate that errs
-FACES_AIM = 0.97  # of the target, which is an upper bound
-FACES_LEAST = 0.9
-REMESH_ATTEMPTS = 4
 SHEET_TOLD = 0.25  # area beyond the border, over what is kept, from which a mesh is called a sheet
 LEFT_OUT_WARN = 0.02  # share of the surface in components that were dropped
 
@@ -79,6 +77,49 @@ class TemplateResult:
     warnings: list[str]
 
 
+@dataclass(frozen=True)
+class Draft:
+    """A reconstructed surface whose triangles are not yet even: enough to tell what it will be, at half the cost.
+
+    mesh:   what stays of it, the points' units
+    report: as far as it is known
+    """
+
+    mesh: TriMesh
+    report: TemplateReport
+    warnings: list[str]
+    _surface: _Surface
+    _backend: Backend
+
+    def finish(self) -> TemplateResult:
+        """With about as many even triangles as asked for, never more.
+
+        Raises:
+            InputError: the surface cannot be remeshed.
+        """
+        backend, (vertices, faces, area, support, centre, scale) = self._backend, self._surface
+        remesh = backend.remesh if support is None else partial(remesh_open, backend, support)
+        vertices, faces, edge_length = even_triangles(vertices, faces, area, self.report.faces_target, remesh)
+        if support is None:
+            faces = _outwards(vertices, faces)
+        report = replace(self.report, edge_length=edge_length * scale)
+        return TemplateResult(TriMesh(vertices * scale + centre, faces), report, self.warnings)
+
+
+class _Surface(NamedTuple):
+    """What is remeshed, in the libraries' units: times ``scale`` and from ``centre`` the points'.
+
+    area: that is to be kept of it. support: of the points that an open one is trimmed to; None for a closed one.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    area: float
+    support: Support | None
+    centre: np.ndarray
+    scale: float
+
+
 def build(
     points: np.ndarray,
     normals: np.ndarray | None,
@@ -86,7 +127,18 @@ def build(
     backend: Backend | None = None,
     source: str = "given",
 ) -> TemplateResult:
-    """A template with about min(faces_max, faces_per_point * N) even triangles, never more.
+    """A template with about min(faces_max, faces_per_point * N) even triangles, never more: a ``draft``, finished."""
+    return draft(points, normals, config, backend, source).finish()
+
+
+def draft(
+    points: np.ndarray,
+    normals: np.ndarray | None,
+    config: TemplateConfig,
+    backend: Backend | None = None,
+    source: str = "given",
+) -> Draft:
+    """The surface of a template, before its triangles are made even.
 
     Screened Poisson (Kazhdan and Hoppe 2013) or a deforming tetrahedral grid (``config.method``), one component for
     every object in the cloud, and remeshing to equal edges (Botsch and Kobbelt 2004). A closed template is watertight
@@ -135,22 +187,21 @@ def build(
     if left_out > LEFT_OUT_WARN:
         warnings.append(f"{left_out:.0%} of the reconstructed surface lies in separate pieces and was left out")
     target = max(int(min(config.faces_max, config.faces_per_point * len(points))), 20)
-    is_open, trimmed = False, 0.0
+    support, trimming = None, None
     if config.surface != "closed":
         support = Support.of(unit_points, normals)
-        trimming = find_trimming(vertices, faces, support)
-        is_open = trimming.openings > 0 and (config.surface == "open" or trimming.share > config.far_share_max)
-    if is_open:
+        found = find_trimming(vertices, faces, support)
+        is_open = found.openings > 0 and (config.surface == "open" or found.share > config.far_share_max)
+        support, trimming = (support, found) if is_open else (None, None)
+    trimmed = 0.0
+    if trimming is not None and support is not None:
         trimmed = trimming.share
-        kept = float(triangles.face_areas(vertices, faces).sum()) / (1.0 + trimmed)
+        area = float(triangles.face_areas(vertices, faces).sum()) / (1.0 + trimmed)
+        kept = cut_at_zero(vertices, faces, trimming.level)
         vertices, faces = crop(vertices, faces, trimming.level, support)
-        remesh = partial(_remesh_open, backend, support)
-        vertices, faces, edge_length = _even_triangles(vertices, faces, kept, target, remesh)
     else:
         area = float(triangles.face_areas(vertices, faces).sum())
-        vertices, faces, edge_length = _even_triangles(vertices, faces, area, target, backend.remesh)
-        if triangles.signed_volume(vertices, faces) < 0 and triangles.is_watertight(faces):
-            faces = faces[:, ::-1]
+        kept = vertices, _outwards(vertices, faces)
     report = TemplateReport(
         backend=backend.name,
         normals=source,
@@ -159,12 +210,18 @@ def build(
         depth=depth,
         poisson_faces=poisson_faces,
         faces_target=target,
-        edge_length=edge_length * scale,
         left_out=left_out,
-        surface="open" if is_open else "closed",
+        surface="closed" if trimming is None else "open",
         trimmed=trimmed,
     )
-    return TemplateResult(TriMesh(vertices * scale + centre, faces), report, warnings)
+    surface = _Surface(vertices, faces, area, support, centre, scale)
+    return Draft(TriMesh(kept[0] * scale + centre, kept[1]), report, warnings, surface, backend)
+
+
+def _outwards(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The faces of a closed surface, turned over if they look inwards."""
+    inside_out = triangles.signed_volume(vertices, faces) < 0 and triangles.is_watertight(faces)
+    return faces[:, ::-1] if inside_out else faces
 
 
 def _keep_objects(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -194,49 +251,3 @@ def depth_by_spacing(points: np.ndarray) -> int:
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
     # Both libraries leave a tenth of the extent around the points.
     return int(np.clip(np.ceil(np.log2(1.1 * extent / max(spacing, 1e-12))), 3, 12))
-
-
-def _remesh_open(
-    backend: Backend, support: Support, vertices: np.ndarray, faces: np.ndarray, edge_length: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Even triangles first, so that the cut has edges of one length to follow; then again inside the new border."""
-    vertices, faces = triangles.compact(*backend.remesh(vertices, faces, edge_length))
-    vertices, faces = cut_at_zero(vertices, faces, find_trimming(vertices, faces, support).level)
-    return backend.remesh(vertices, faces, edge_length)
-
-
-def _even_triangles(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    area: float,
-    target: int,
-    remesh: Callable[[np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]],
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Vertices and faces, just under ``target`` of them, and the edge length h that did it.
-
-    F equilateral faces have the area F sqrt(3) / 4 h^2.
-    """
-    if not area > 0:
-        raise InputError("the reconstructed surface has no area; the cloud does not look like a closed surface")
-    edge_length = np.sqrt(4.0 * area / (np.sqrt(3.0) * FACES_AIM * target))
-    best = None
-    for _ in range(REMESH_ATTEMPTS):
-        try:
-            new_vertices, new_faces = triangles.compact(*remesh(vertices, faces, edge_length))
-        except ValueError as error:
-            raise InputError(f"the reconstructed surface cannot be remeshed ({error})") from error
-        count = len(new_faces)
-        usable = count >= 4 and np.isfinite(new_vertices).all()
-        if usable and (best is None or _misfit(count, target) < _misfit(len(best[1]), target)):
-            best = (new_vertices, new_faces, float(edge_length))
-        if FACES_LEAST * target <= count <= target:
-            break
-        edge_length *= np.sqrt(max(count, target / 4) / (FACES_AIM * target))
-    if best is None:
-        raise InputError("the remeshing lost the surface; raise template.faces_max or template.faces_per_point")
-    return best
-
-
-def _misfit(count: int, target: int) -> float:
-    # Too many faces break the user's bound; too few only cost detail.
-    return abs(count - target) + (10.0 * target if count > target else 0.0)

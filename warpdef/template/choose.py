@@ -12,8 +12,8 @@ from warpdef.errors import InputError
 from warpdef.geometry import triangles
 from warpdef.geometry.viewpoint import seen_normals
 from warpdef.mesh import TriMesh
-from warpdef.template.build import FLIPPED_WARN, TemplateReport, build
-from warpdef.template.keyframe import rank_keyframes, spread_out
+from warpdef.template.build import FLIPPED_WARN, Draft, TemplateReport, draft
+from warpdef.template.keyframe import KeyframeCandidate, rank_keyframes, spread_out
 from warpdef.template.place import align, require_place
 from warpdef.template.poisson import load_backend
 from warpdef.template.quality import GateReport, judge
@@ -55,7 +55,8 @@ def choose_template(
 
     A handle (a hand on the hip closes the arm to a loop) may be the body's own or come of two parts that touch, and one
     frame alone cannot tell; touching adds handles and never takes one away. So if a template has some, the other
-    candidates are built as well and the one with fewest is taken.
+    candidates are tried as well and the one with fewest is taken. Handles, and what the gate asks, are told by drafts,
+    whose triangles are not even yet; what is taken is finished, and judged as it then is.
 
     At most ``config.template.attempts`` frames are tried, and only one where the user named it. If none passes, the
     best by the gate's score is taken, with a warning. A frame that fails with given normals of doubtful side is tried
@@ -82,6 +83,7 @@ def choose_template(
     warnings: list[str] = []
     failed: list[ChosenTemplate] = []
     passed: list[ChosenTemplate] = []
+    drafts = _Drafts(clouds, config)
     while attempts:
         candidate, source = attempts.pop(0)
         frame = candidate.frame
@@ -92,15 +94,15 @@ def choose_template(
             sides = normals[frame] if source == "given" else None
             if view is not None and source == "seen":
                 sides = seen_normals(clouds[frame], view, config.template.neighbours)
-            built = build(clouds[frame], sides, config.template, backend, source)
+            chosen = drafts.begin(draft(clouds[frame], sides, config.template, backend, source), candidate)
+            if chosen.gate.passed and chosen.gate.handles == 0:
+                chosen = drafts.finish(chosen)
         except InputError as error:
             if passed:
                 continue
             warnings.append(f"keyframe {frame} gave no template: {error}{_next(frame, attempts)}")
             continue
-        gate = judge(built.mesh, clouds[frame], config.template, config.seed, built.report.surface == "open")
-        made = [f"keyframe {frame}: {w}" for w in built.warnings]
-        chosen = ChosenTemplate(built.mesh, frame, candidate.why, built.report, gate, made)
+        gate = chosen.gate
         if gate.passed:
             passed.append(chosen)
             if gate.handles == 0:
@@ -109,15 +111,17 @@ def choose_template(
         if passed:
             continue  # what else is built now only competes for fewer handles
         failed.append(chosen)
-        if source == "given" and built.report.flipped <= FLIPPED_WARN * len(clouds[frame]):
+        if source == "given" and chosen.report.flipped <= FLIPPED_WARN * len(clouds[frame]):
             attempts.pop(0)  # the given normals are not to blame
         reasons = " and ".join(gate.failures)
         warnings.append(f"keyframe {frame} failed the template gate: {reasons}{_next(frame, attempts)}")
-    if passed:
+    passed.sort(key=lambda c: _cost(c.keyframe, c.gate.handles, len(clouds)))
+    if drafts.first_finished(passed, warnings) is not None:
         return _fewest_handles(passed, warnings, len(clouds))
-    if not failed:
+    failed.sort(key=lambda c: c.gate.score)
+    best = drafts.first_finished(failed, warnings, sound=False)
+    if best is None:
         raise InputError(f"no template: {warnings[-1]}; give a mesh of your own with --template")
-    best = min(failed, key=lambda c: c.gate.score)
     warnings += best.warnings
     advice = _advice(best, config, len(clouds))
     warnings.append(
@@ -125,6 +129,53 @@ def choose_template(
         f"{' and '.join(best.gate.failures)}; {advice}"
     )
     return replace(best, warnings=warnings)
+
+
+class _Drafts:
+    """Templates of drafts, and what is left to do for them."""
+
+    def __init__(self, clouds: Sequence[np.ndarray], config: Config) -> None:
+        self._clouds, self._config = clouds, config
+        self._unfinished: dict[tuple[int, str], Draft] = {}
+
+    def begin(self, made: Draft, candidate: KeyframeCandidate) -> ChosenTemplate:
+        """A draft as a template, judged as it is."""
+        frame = candidate.frame
+        self._unfinished[frame, made.report.normals] = made
+        warnings = [f"keyframe {frame}: {w}" for w in made.warnings]
+        gate = self._judged(made.mesh, frame, made.report)
+        return ChosenTemplate(made.mesh, frame, candidate.why, made.report, gate, warnings)
+
+    def finish(self, chosen: ChosenTemplate) -> ChosenTemplate:
+        """With even triangles, and judged anew; what is finished stays as it is. Raises as ``Draft.finish``."""
+        made = self._unfinished.get((chosen.keyframe, chosen.report.normals))
+        if made is None:
+            return chosen
+        done = made.finish()
+        del self._unfinished[chosen.keyframe, chosen.report.normals]
+        gate = self._judged(done.mesh, chosen.keyframe, done.report)
+        return replace(chosen, mesh=done.mesh, report=done.report, gate=gate)
+
+    def first_finished(
+        self, ordered: list[ChosenTemplate], warnings: list[str], sound: bool = True
+    ) -> ChosenTemplate | None:
+        """The first that can be finished and, if it is to be ``sound``, passes the gate then; others are removed."""
+        while ordered:
+            try:
+                done = self.finish(ordered[0])
+            except InputError as error:
+                warnings.append(f"keyframe {ordered[0].keyframe} gave no template: {error}")
+            else:
+                if done.gate.passed or not sound:
+                    ordered[0] = done
+                    return done
+                failures = " and ".join(done.gate.failures)
+                warnings.append(f"keyframe {done.keyframe} failed the template gate: {failures}")
+            ordered.pop(0)
+        return None
+
+    def _judged(self, mesh: TriMesh, frame: int, report: TemplateReport) -> GateReport:
+        return judge(mesh, self._clouds[frame], self._config.template, self._config.seed, report.surface == "open")
 
 
 def _advice(best: ChosenTemplate, config: Config, frame_count: int) -> str:
