@@ -105,7 +105,8 @@ def test_meshes_of_others(tmp_path):
 
 def test_obj_without_all_texture_places(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nf 1/1 2/1 3/1\nf 2 4 3\n")
-    assert read_mesh(tmp_path / "a.obj").appearance is None
+    look = present(read_mesh(tmp_path / "a.obj").appearance)
+    assert look.arrays() == {} and look.notes[0].endswith("3 of the 6 corners of its faces have none")
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/2 3/1\n")
     with pytest.raises(InputError, match="a.obj"):
         read_mesh(tmp_path / "a.obj")

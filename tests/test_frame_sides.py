@@ -1,4 +1,4 @@
-"""Frames whose normals point to the other side than those around them are turned over; mixed ones are left."""
+"""Frames whose normals point to the other side than those around them, or inwards, are turned over; mixed are left."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ NORMALS = [n for _, n in FRAMES]
 def test_the_fewer_are_turned_over():
     sides = (1, -1, -1, 1, 1, -1)
     given = [s * n for s, n in zip(sides, NORMALS, strict=True)]
-    for fewer, sign in ((given, 1), ([-n for n in given[:3]] + NORMALS[3:], 1), ([-n for n in NORMALS], -1)):
-        sequence = turn_to_one_side(PointSequence.from_arrays(POINTS, fewer))
+    for frames in (given, [-n for n in given], [-n for n in NORMALS]):
+        sequence = turn_to_one_side(PointSequence.from_arrays(POINTS, frames), 16)
         for found, expected in zip(sequence.normals, NORMALS, strict=True):
-            np.testing.assert_allclose(present(found), sign * expected, atol=1e-12)
-    (note,) = turn_to_one_side(PointSequence.from_arrays(POINTS, [None, *given[1:2], *NORMALS[2:]])).notes
+            np.testing.assert_allclose(present(found), expected, atol=1e-12)
+    assert sequence.notes == ("normals given point inwards: turned over in all frames",)
+    (note,) = turn_to_one_side(PointSequence.from_arrays(POINTS, [None, *given[1:2], *NORMALS[2:]]), 16).notes
     assert note == "normals given for frame 1 point to the other side than those of the frames around: turned over"
 
 
@@ -30,4 +31,4 @@ def test_mixed_and_unknown_ones_are_left():
     mixed = [n * RNG.choice([-1.0, 1.0], (len(n), 1)) for n in NORMALS]
     for normals in (mixed, [None] * 6, NORMALS):
         sequence = PointSequence.from_arrays(POINTS, normals)
-        assert turn_to_one_side(sequence) is sequence
+        assert turn_to_one_side(sequence, 16) is sequence

@@ -150,7 +150,8 @@ def clean(sequence: PointSequence, config: Config, device: wp.Device | None = No
         sequence = cut_static_planes(sequence)
     if config.drop_strays:
         sequence = drop_strays(sequence, device)
-    sequence = turn_to_one_side(leave_out_useless_normals(tell_coarse_steps(sequence)))
+    sequence = leave_out_useless_normals(tell_coarse_steps(sequence))
+    sequence = turn_to_one_side(sequence, config.template.neighbours)
     if config.cut_static:
         sequence = tell_static_parts(sequence)
     if config.order == "auto":

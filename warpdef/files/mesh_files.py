@@ -77,10 +77,11 @@ def _appearance(surface: Surface, path: Path, image: bool) -> Appearance | None:
         found = Appearance.checked(*counts, surface.colors, surface.uv, surface.corner_uv)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    found = replace(found, notes=surface.notes)
     if image and counts[1] and (found.uv is not None or found.corner_uv is not None):
         texture, notes = read_texture(path, surface.named)
         found = replace(found, texture=texture, notes=notes)
-    return found if found.arrays() else None
+    return found if found.arrays() or found.notes else None
 
 
 def read_mesh_sequence(path: Path | str, frames: slice | None = None) -> MeshSequence:

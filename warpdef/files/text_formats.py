@@ -81,10 +81,17 @@ def read_obj(path: Path) -> Surface:
         places = textures.table()[:, :2]
         corners = fan_triangles(_indices(texture_indices, len(places), str(path)), counts, str(path))
         uv, corner_uv = vertex_or_corner_uv(places[corners], faces, vertices.count)
+    left = len(indices) - len(texture_indices)
+    notes = (
+        (f"{path}: goes on without texture coordinates: {left} of the {len(indices)} corners of its faces have none",)
+        if faces is not None and 0 < left < len(indices)
+        else ()
+    )
     ends = [first for first, _ in materials[1:]] + [len(counts)]
     used = dict.fromkeys(name for (first, name), end in zip(materials, ends, strict=False) if end > first)
     named = NamedImages(libraries=tuple(libraries), materials=tuple(used))
-    return Surface(vertices.table(), normals.table() if usable else None, faces, shades, uv, corner_uv, named)
+    given = normals.table() if usable else None
+    return Surface(vertices.table(), given, faces, shades, uv, corner_uv, named, notes=notes)
 
 
 def read_off(path: Path) -> Surface:
