@@ -10,24 +10,29 @@ down. A launch takes the longest of
     memory     its arrays once, from the second cache if they fit there, else from memory
     own        what its own line in ``OWN`` says: gathers, exchanges within a warp, the longest of its blocks
 
-and launches follow one another. ``OWN`` is where the numbers come from; what is not there is one pass over its arrays.
+and launches follow one another, or tasks of a phase go side by side (``fit.branches``), where a phase takes the longest
+of its tasks: at best, as what two of them ask of one memory is not told. ``OWN`` is where the numbers come from; what is
+not there is one pass over its arrays.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
-from contextlib import closing
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import synthetic
 from descent import chained
-from launches import FRAMES, KEYFRAME, Launch, counting
+from launches import FRAMES, KEYFRAME, Counted, Launch, counting
 
 from warpdef.config import Config
 from warpdef.device import Way, find_device, going
+from warpdef.fit import workers
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
 from warpdef.fit.refine import Refinement
@@ -45,6 +50,14 @@ ADDS = 48 * CLOCK  # atomic adds of up to four floats a second, to places that d
 EXCHANGES, CORNERS = 54, 8  # of a cell that a warp has in common, see ``kernels.warp_sums``
 POINTS, SUBDIVISIONS = 5000, 5
 ITERATIONS_OF_CG = {"frames": 23, "shape": 60, "template": (37, 6)}  # on the crane
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """each: launches with their times, s. branched: s of all of them, tasks of a phase side by side."""
+
+    each: list[tuple[Launch, float]]
+    branched: float
 
 
 def _gathers(points: int, levels: int, numbers: int = 32) -> float:
@@ -138,8 +151,33 @@ def seconds_of(launch: Launch, own: dict[str, Callable[[Launch], float]]) -> flo
     return max(FLOOR, memory, own.get(launch.kernel, lambda _: 0.0)(launch))
 
 
-def estimates(points: int = POINTS, subdivisions: int = SUBDIVISIONS) -> dict[str, list[tuple[Launch, float]]]:
-    """Every launch of an iteration, of one of the paper's descent, of a frame settled and of a round, with its time."""
+@contextmanager
+def telling_tasks(counted: Counted) -> Iterator[list[list[int]]]:
+    """How many launches were counted when each task of each phase ended: a list a phase, with its beginning first."""
+    phases: list[list[int]] = []
+
+    def run_plain(iteration: workers.Iteration) -> None:
+        for phase in iteration._phases:
+            phases.append([len(counted.each)])
+            for task in phase.tasks:
+                task()
+                phases[-1].append(len(counted.each))
+
+    with mock.patch.object(workers.Iteration, "_run_plain", run_plain):
+        yield phases
+
+
+def side_by_side(seconds: list[float], phases: list[list[int]]) -> float:
+    """Of launches, where a phase takes the longest of its tasks; launches outside of phases follow."""
+    saved = 0.0
+    for first, *ends in phases:
+        tasks = [sum(seconds[a:b]) for a, b in pairwise([first, *ends])]
+        saved += sum(tasks) - max(tasks, default=0.0)
+    return sum(seconds) - saved
+
+
+def estimates(points: int = POINTS, subdivisions: int = SUBDIVISIONS) -> dict[str, Estimate]:
+    """Of an iteration, of one of the paper's descent, of a frame settled and of a round."""
     moving = synthetic.turning_ellipsoid(FRAMES, points, np.random.default_rng(0), subdivisions)
     config = Config()
     warm = replace(config, optimiser=replace(config.optimiser, warmup=1))
@@ -149,15 +187,16 @@ def estimates(points: int = POINTS, subdivisions: int = SUBDIVISIONS) -> dict[st
             moving.clouds, moving.normals, moving.vertices[KEYFRAME], moving.faces, KEYFRAME, of, find_device("cpu")
         )
 
-    found: dict[str, list[tuple[Launch, float]]] = {}
+    found: dict[str, Estimate] = {}
     with going(Way.WHOLE), closing(Team(1)) as team:
 
         def count(name: str, on: Problem, work: Callable[[], Any]) -> None:
             work()
-            with counting() as counted:
+            with counting() as counted, telling_tasks(counted) as phases:
                 work()
             own = own_times(on)
-            found[name] = [(a, seconds_of(a, own)) for a in (replace(a, piece=name) for a in counted.each)]
+            each = [(a, seconds_of(a, own)) for a in (replace(a, piece=name) for a in counted.each)]
+            found[name] = Estimate(each, side_by_side([t for _, t in each], phases))
 
         guide = Optimiser(problem(config), 9, team)
         count("iteration", guide.problem, guide.iterate)
@@ -172,15 +211,15 @@ def estimates(points: int = POINTS, subdivisions: int = SUBDIVISIONS) -> dict[st
     return found
 
 
-def table(found: dict[str, list[tuple[Launch, float]]]) -> str:
+def table(found: dict[str, Estimate]) -> str:
     """Markdown: a row a piece, then its kernels by their share."""
-    lines = ["| | launches | MB | ms, estimated |", "| --- | ---: | ---: | ---: |"]
-    for name, each in found.items():
-        total, megabytes = sum(t for _, t in each), sum(a.bytes for a, _ in each) / 1e6
-        lines.append(f"| {name} | {len(each)} | {megabytes:.0f} | {1e3 * total:.2f} |")
-    for name, each in found.items():
+    lines = ["| | launches | MB | ms, estimated | of branches, at best |", "| --- | ---: | ---: | ---: | ---: |"]
+    for name, of in found.items():
+        total, megabytes = sum(t for _, t in of.each), sum(a.bytes for a, _ in of.each) / 1e6
+        lines.append(f"| {name} | {len(of.each)} | {megabytes:.0f} | {1e3 * total:.2f} | {1e3 * of.branched:.2f} |")
+    for name, of in found.items():
         by_kernel: dict[str, float] = defaultdict(float)
-        for launch, t in each:
+        for launch, t in of.each:
             by_kernel[launch.kernel] += 1e6 * t
         parts = sorted(by_kernel.items(), key=lambda item: -item[1])
         lines += ["", f"{name}, us: " + ", ".join(f"{kernel} {t:.0f}" for kernel, t in parts)]

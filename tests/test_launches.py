@@ -7,7 +7,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 import warp as wp
-from estimate import FLOOR, estimates, own_times
+from estimate import FLOOR, estimates, own_times, side_by_side
 from launches import FRAMES, KEYFRAME, count_all, counting, example_problem, small_grids, table
 
 from warpdef.device import Way, going
@@ -53,12 +53,20 @@ def test_the_estimate_knows_the_kernels_that_it_names() -> None:
     """A kernel of another name would be taken for one pass over its arrays."""
     found = estimates(points=100, subdivisions=2)
     assert set(found) == set(BOUNDS)
-    launched = {launch.kernel for each in found.values() for launch, _ in each}
+    launched = {launch.kernel for of in found.values() for launch, _ in of.each}
     guide = Optimiser(example_problem(small_grids()), 9, team := Team(1))
     team.close()
     assert set(own_times(guide.problem)) <= launched
-    assert min(t for each in found.values() for _, t in each) >= FLOOR
-    assert all(launch.bytes > 0 for each in found.values() for launch, _ in each if launch.kernel != "fill")
+    assert min(t for of in found.values() for _, t in of.each) >= FLOOR
+    assert all(launch.bytes > 0 for of in found.values() for launch, _ in of.each if launch.kernel != "fill")
+    # Only the descent with vertices has more than one branch.
+    gained = {name for name, of in found.items() if of.branched < 0.999 * sum(t for _, t in of.each)}
+    assert gained == {"iteration of the paper's descent"}
+
+
+def test_a_phase_takes_the_longest_of_its_tasks() -> None:
+    assert side_by_side([1.0, 2.0, 4.0, 8.0, 16.0], [[1, 2, 4], [4, 5]]) == 1.0 + 12.0 + 16.0
+    assert side_by_side([1.0, 2.0], []) == 3.0
 
 
 def test_a_frame_is_settled_alone() -> None:

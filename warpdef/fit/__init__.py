@@ -4,6 +4,7 @@ A room a file, in the order in which a run goes through them:
 
     problem, measures, morton   what is given, laid out on the device; what is measured on it before a fit
     pool, workers               arrays handed out and counted; threads that run phases of tasks, or one graph
+    branches                    tasks of a phase beside one another in that graph
     optimise, parameters        the descent on grids and template; values under the preconditioner, as Adam moves them
     sobolev                     which solver that is
     objective, terms            what is descended on, in its phases; a class a loss term

@@ -3,7 +3,7 @@
 On the CPU a Warp launch is one thread that releases the interpreter lock, so tasks (whole frames, ranges of vertices)
 are recorded once and replayed by a fixed team of threads with a barrier between phases. No two tasks of a phase write
 the same memory, and each task adds up in its own order: the result is the same bits for any number of threads.
-On CUDA each phase is launched whole, and one iteration is captured as one graph.
+On CUDA each phase is launched whole, and an iteration is captured as one graph, with the tasks of a phase as branches.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Protocol
 import warp as wp
 
 from warpdef.device import Way, is_cuda, tell_once, way_of
+from warpdef.fit.branches import Branches
 from warpdef.kernels.launching import listing, recording
 
 Task = Callable[[], None]
@@ -156,18 +157,23 @@ class Iteration:
                 task()
 
     def _captured(self) -> wp.Graph | None:
-        """All phases as one graph; None where the device cannot, which is said: launches then go one by one."""
-        try:
-            with wp.ScopedCapture(device=self._device) as captured:
-                self._run_plain()
-        except RuntimeError as error:  # of Warp, or of CUDA by way of it
-            why = " ".join(str(error).split())
-            tell_once(
-                f"iterations on {self._device.alias} are not captured as graphs ({why:.200}): every kernel is launched "
-                "by itself, which gives the same result but takes longer"
-            )
-            return None
-        return captured.graph
+        """All phases as one graph, at best of branches; None where the device cannot, which is said: launches then go
+        one by one."""
+        why = ""
+        for branched in (True, False):
+            try:
+                branches = Branches(self._device, [len(phase.tasks) if branched else 1 for phase in self._phases])
+                with wp.ScopedCapture(device=self._device) as captured:
+                    for number, phase in enumerate(self._phases):
+                        branches.run(number, phase.tasks)
+                return captured.graph
+            except RuntimeError as error:  # of Warp, or of CUDA by way of it
+                why = " ".join(str(error).split())
+        tell_once(
+            f"iterations on {self._device.alias} are not captured as graphs ({why:.200}): every kernel is launched "
+            "by itself, which gives the same result but takes longer"
+        )
+        return None
 
 
 def _record(phase: Phase) -> list[list[wp.Launch]]:
