@@ -33,6 +33,7 @@ EVEN = 8  # neighbours in the picture that tell its density there
 TRIES = 70  # places of the camera
 NEAREST, FARTHEST = 1.25, 25.0  # of the camera, in the longest side of what it saw
 NEARBY = 0.05  # least depth in a picture, in the distance of its centre
+AROUND_GAP = 3.0  # times its distance to the nearest point in the picture within which points lie around a place
 BULGE_MIN = 0.1  # mean over points, in units of the mean size: a sheet, waved about, has no outside
 
 
@@ -143,9 +144,7 @@ class Picture:
             directions there, (c, 3) each.
         """
         view, distance = _view(self.eye, self.centre)
-        picture = self.across(self.eye, self.centre, places)
-        beside, nearest = self.tree.query(picture)
-        depth = distance - (places - self.centre) @ view
+        picture, beside, nearest, depth = self._beside(places)
         before = self.depth[nearest] - depth
         which = np.flatnonzero((beside > room) | (before > room))
         # First across at its own depth, then along the ray there.
@@ -154,6 +153,26 @@ class Picture:
         there += (there - self.eye) * (np.maximum(before + 0.5 * room, 0.0) / depth)[:, None]
         way = (there - places)[which]
         return which, there[which], way / np.linalg.norm(way, axis=1, keepdims=True)
+
+    def in_gaps(self, places: np.ndarray, reach: float, room: float, widest: float) -> np.ndarray:
+        """Which places (m, 3) lie in a gap between points, (m,) bool: beside all by more than ``reach``, as deep as the
+        nearest up to ``room``, and in no angle of ``widest`` radians, seen from there, without points near by."""
+        picture, beside, nearest, depth = self._beside(places)
+        found = (beside * depth > reach * _view(self.eye, self.centre)[1]) & (
+            np.abs(self.depth[nearest] - depth) <= room
+        )
+        for i in np.flatnonzero(found):
+            x, y = (self.tree.data[self.tree.query_ball_point(picture[i], AROUND_GAP * beside[i])] - picture[i]).T
+            angle = np.sort(np.arctan2(y, x))
+            found[i] = max(np.diff(angle).max(initial=0.0), angle[0] + 2.0 * np.pi - angle[-1]) < widest
+        return found
+
+    def _beside(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Places in the picture, how far beside the nearest point there, which it is, and how deep they are."""
+        view, distance = _view(self.eye, self.centre)
+        picture = self.across(self.eye, self.centre, places)
+        beside, nearest = self.tree.query(picture)
+        return picture, beside, nearest, distance - (places - self.centre) @ view
 
 
 def _view(eye: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, float]:

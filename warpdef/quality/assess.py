@@ -13,9 +13,10 @@ from warpdef.cloud import FramePoints, draw_points
 from warpdef.quality.confidence import vertex_confidence
 from warpdef.quality.coverage import Coverage, doubled_vertices, measure_coverage
 from warpdef.quality.enclosed import inner_share
-from warpdef.quality.exposed import exposed_share
+from warpdef.quality.exposed import exposed_share, spanning_share
 from warpdef.quality.frame import FrameQuality
-from warpdef.quality.overhang import overhang_share, surplus_share
+from warpdef.quality.layers import merged_share
+from warpdef.quality.overhang import outgrown_shares, overhang_share, surplus_share
 from warpdef.quality.shape import ReferenceShape, ShapeChange
 from warpdef.quality.temporal import acceleration, flicker
 from warpdef.quality.verdict import DOUBTFUL, INNER_WALL, LOST, Verdict, judge
@@ -25,6 +26,8 @@ POINTS_JUDGED = 20_000
 """Points of a frame that are looked at; of larger clouds as many are drawn."""
 SIDE_BY_SIDE = 8
 """Frames at most that are looked at at the same time: each takes some tens of megabytes meanwhile."""
+LAYERS = ("inner", "doubled", "layered", "blur", "exposed", "spanning", "merged") + ("overhang", "surplus", "outgrown")
+"""Measures of where surface lies beside that of others, or where none is: fields of ``FrameQuality``."""
 
 
 @dataclass(frozen=True)
@@ -110,17 +113,18 @@ def assess(
         placed = vertices[t] - centre
         change = reference.compare(placed, usual if t == keyframe else None)
         coverage = measure_coverage(points - centre, placed, faces) if len(points) else None
-        inner = doubled = layered = overhang = exposed = None
+        layers: dict[str, float | None] = dict.fromkeys(LAYERS)
         if coverage is not None:
-            inner = inner_share(points - centre, placed, faces, coverage)
-            overhang = overhang_share(points - centre, placed, faces, coverage)
+            compared = points - centre, placed, faces, coverage
+            layers["inner"], layers["overhang"] = inner_share(*compared), overhang_share(*compared)
+            layers["merged"] = merged_share(*compared)
             if eye is not None:
-                exposed = exposed_share(points - centre, placed, faces, coverage, eye - centre)
+                layers["exposed"] = exposed_share(*compared, eye - centre)
+                layers["spanning"] = spanning_share(*compared, eye - centre)
             of_vertices = doubled_vertices(coverage, placed, reference.vertices, faces)
-            doubled, layered = (coverage.share(found[faces].mean(axis=1)) for found in of_vertices)
-        blur = None if coverage is None or reference.thin is None else coverage.noise / reference.thin
-        layers = {"inner": inner, "doubled": doubled, "layered": layered, "blur": blur}
-        layers |= {"exposed": exposed, "overhang": overhang, "surplus": None}
+            for which, found in zip(("doubled", "layered"), of_vertices, strict=True):
+                layers[which] = coverage.share(found[faces].mean(axis=1))
+            layers["blur"] = None if reference.thin is None else coverage.noise / reference.thin
         quality = _frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm))
         return quality, coverage, change.stretch
 
@@ -131,10 +135,12 @@ def assess(
     frames = [frame for frame, _, _ in measured]
     complete = coverages[keyframe]
     if complete is not None:
-        frames = [
-            frame if c is None else replace(frame, surplus=surplus_share(c, complete))
-            for frame, c in zip(frames, coverages, strict=True)
-        ]
+        # Borders of what one camera sees move as its view does.
+        asked = [None] * len(coverages) if eye is not None else coverages
+        outgrown = outgrown_shares(asked, (v - centre for v in vertices), faces, keyframe)
+        for t, coverage in enumerate(coverages):
+            if coverage is not None:
+                frames[t] = replace(frames[t], surplus=surplus_share(coverage, complete), outgrown=outgrown[t])
     confidence = vertex_confidence(coverages, stretches, reference.edges, faces, vertices.shape[1])
     return Assessment(frames, [judge(frame) for frame in frames], confidence)
 

@@ -23,10 +23,13 @@ class FrameQuality:
     doubled:      share of the surface that is near points of another part, and was apart from it in the shape
     layered:      share of it that is so and faces the same way as that part: a second layer on it
     exposed:      share of the surface that stands where the one camera that saw all clouds saw nothing
+    spanning:     share of it that spans a gap between points through which that camera saw
+    merged:       share of the points that lie in two layers, of which the surface makes one
     inner:        share of the surface that is far from every point and enclosed by them: a wall between what has parted
     torn:         share of the surface that is far from every point and stretched at that
     overhang:     share of the surface that lies far beyond points whose own surface closes
     surplus:      share of the surface that is far from every point, though these show as much as in the keyframe
+    outgrown:     share of the keyframe's surface that lies beyond the border of the points, and has grown since
     stretch_p95, stretch_max: of |log l / l_shape| over the edges
     stretched:    share of the edges that are longer or shorter than in the shape by half, a growth of all taken off
     folded:       share of neighbouring faces folded by more than 90 degrees, that were not so in the shape
@@ -53,10 +56,13 @@ class FrameQuality:
     doubled: float | None
     layered: float | None
     exposed: float | None
+    spanning: float | None
+    merged: float | None
     inner: float | None
     torn: float | None
     overhang: float | None
     surplus: float | None
+    outgrown: float | None
     stretch_p95: float
     stretch_max: float
     stretched: float

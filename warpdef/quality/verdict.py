@@ -74,6 +74,22 @@ BOUNDS = (
         "0 to 1 % on bodies and before one camera; a sheet that slid over its border 4 to 12 %, one that is lost 30 %",
     ),
     Bound(
+        "outgrown",
+        0.01,
+        0.10,
+        "{:.1%} of the surface has been drawn out over the border of the points",
+        "none on right meshes held against whole clouds or cut ones, a stretchy face among them; a flag whose waves "
+        "run along it 1 to 3 %, drawn out by as much",
+    ),
+    Bound(
+        "merged",
+        0.10,
+        _NEVER,
+        "{:.0%} of the points lie in two layers, of which the surface makes one",
+        "0 to 0.5 % on bodies, noisy or not, 4 % before four cameras that do not quite agree; a skirt of two layers, "
+        "two spacings apart, has 93 to 98 %",
+    ),
+    Bound(
         "doubled",
         0.035,
         _NEVER,
@@ -95,6 +111,14 @@ BOUNDS = (
         "{:.0%} of the surface stands where the camera saw nothing",
         "asked only of what one camera saw; 0 to 1.2 % where what is hidden is out of its sight, an arm held up beside "
         "the body 3 to 7 %",
+    ),
+    Bound(
+        "spanning",
+        0.006,
+        _NEVER,
+        "{:.1%} of the surface spans gaps through which the camera saw",
+        "0 to 0.5 % of flaps along outlines and between fingers; a web between two legs 0.6 to 1.2 %, a leg put across "
+        "a gap 0.6 %",
     ),
     Bound(
         "blur",
