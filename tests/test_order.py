@@ -8,7 +8,7 @@ from synthetic import bending_bar, icosphere, turning_ellipsoid
 
 from warpdef.cleaning.order import LEAST_FRAMES, order_by_pose, put_in_order
 from warpdef.config import Config
-from warpdef.geometry.poses import differences, pose_fields
+from warpdef.geometry.poses import differences, pose_fields, shared_differences
 from warpdef.motion.gaps import fill_gaps
 from warpdef.prepare import clean
 from warpdef.sequence import PointSequence
@@ -39,6 +39,25 @@ def test_films_stay_as_they_are(bar: list[np.ndarray], rng: np.random.Generator)
     turning = turning_ellipsoid(FRAMES, 500, rng).clouds
     for film in (bar, bar[::-1], [*bar, *bar[-2::-1], *bar], still, slip, takes, turning, fast):
         assert order_by_pose(film) is None
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_a_film_whose_frames_lack_a_part_by_turns_is_one(bar: list[np.ndarray], every: int) -> None:
+    """By whole clouds, halves are more like other halves than like their neighbours."""
+    film = [cloud if t % every else cloud[cloud[:, 0] > np.median(cloud[:, 0])] for t, cloud in enumerate(bar)]
+    fields, _ = pose_fields(film)
+    near, all_pairs = (np.arange(FRAMES - 1), np.arange(1, FRAMES)), np.triu_indices(FRAMES, 1)
+    assert np.median(differences(fields, *near)) > 0.6 * np.median(differences(fields, *all_pairs))
+    assert order_by_pose(film) is None
+    mixed = [np.random.default_rng(seed).permutation(FRAMES) for seed in range(8)]
+    assert sum(order_by_pose([film[t] for t in shuffled]) is not None for shuffled in mixed) >= 6
+
+
+def test_a_cloud_and_its_part_are_the_same_in_what_both_show(bar: list[np.ndarray]) -> None:
+    fields, _ = pose_fields([bar[0], bar[0][bar[0][:, 0] > 0.0], bar[6]])
+    one, other = np.array([0, 0]), np.array([1, 2])
+    part, pose = shared_differences(fields, one, other)
+    assert part < 1e-12 < differences(fields, one, other)[0] and pose > 1e-3
 
 
 def test_few_scans_tell_too_little(bar: list[np.ndarray]) -> None:

@@ -5,7 +5,8 @@ are not: the mean rank of the T - 1 differences of neighbours among all differen
 ``CHANCE`` deviations below one half, their median is not far below that of all, and poses differ by more than sampling.
 A frame or two from elsewhere do not change ranks or medians; a body that stands still differs by sampling alone; one
 that moves so fast that a frame tells nothing of the next is a set of poses, too. But what turns is a film, however
-fast: one rotation about an axis of the coordinates, the same for all neighbours, makes them alike.
+fast: one rotation about an axis of the coordinates, the same for all neighbours, makes them alike. And frames that lack
+now one part, now another, are unlike by that alone: in what both show neighbours must be no more alike either.
 
 The order is a walk through the minimum spanning tree of the differences, small branches first: each scan stands behind
 one that is like it, but for the returns from the ends of branches.
@@ -17,7 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from warpdef.geometry.poses import differences, pose_fields
+from warpdef.geometry.poses import differences, pose_fields, shared_differences
 from warpdef.sequence import PointSequence
 
 CHANCE = 3.0
@@ -55,12 +56,17 @@ def _in_no_order(fields: np.ndarray, halves: float) -> bool:
     if len(one) > _PAIRS:
         chosen = np.random.default_rng(0).choice(len(one), _PAIRS, replace=False)
         one, other = one[chosen], other[chosen]
-    pairs = np.sort(differences(fields, one, other))
-    near = differences(fields, np.arange(count - 1), np.arange(1, count))
-    rank = (np.searchsorted(pairs, near, "left") + np.searchsorted(pairs, near, "right")) / (2.0 * len(pairs))
-    below = (0.5 - float(rank.mean())) * np.sqrt(12.0 * (count - 1))
-    middle = float(np.median(pairs))
-    return below < CHANCE and float(np.median(near)) > RATIO * middle and middle > STANDS_OUT * halves
+    for apart in (differences, shared_differences):
+        pairs = np.sort(apart(fields, one, other))
+        near = apart(fields, np.arange(count - 1), np.arange(1, count))
+        rank = (np.searchsorted(pairs, near, "left") + np.searchsorted(pairs, near, "right")) / (2.0 * len(pairs))
+        below = (0.5 - float(rank.mean())) * np.sqrt(12.0 * (count - 1))
+        middle = float(np.median(pairs))
+        if below >= CHANCE or float(np.median(near)) <= RATIO * middle:
+            return False
+        if apart is differences and middle <= STANDS_OUT * halves:
+            return False
+    return True
 
 
 def turns(clouds: Sequence[np.ndarray]) -> bool:

@@ -3,7 +3,12 @@
     d(a, b) = mean_x | f_a(x) - f_b(x) |,   f_t(x) the distance of a lattice place x to the nearest point of cloud t
 
 Of the same pose sampled anew the fields hardly differ, where distances from cloud to cloud are the spacing of the
-points; and a field is found once a cloud, not once a pair.
+points; and a field is found once a cloud, not once a pair. Where a cloud lacks a part that the other has, its field is
+too large there, and never too small; of what both show
+
+    d'(a, b) = 2 min( mean_x max(f_a - f_b, 0), mean_x max(f_b - f_a, 0) ),
+
+which is 0 for a cloud and any part of it.
 """
 
 from __future__ import annotations
@@ -45,3 +50,9 @@ def pose_fields(clouds: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
 def differences(fields: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """d of pairs of clouds, whose numbers are ``one`` and ``other``, shape (P,), by their fields (T, K)."""
     return np.array([np.abs(fields[a] - fields[b]).mean() for a, b in zip(one, other, strict=True)])
+
+
+def shared_differences(fields: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """d' of pairs of clouds, as ``differences``: how alike they are in what both show."""
+    apart = [fields[a] - fields[b] for a, b in zip(one, other, strict=True)]
+    return np.array([2.0 * min(np.maximum(d, 0.0).mean(), np.maximum(-d, 0.0).mean()) for d in apart])
