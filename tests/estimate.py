@@ -10,9 +10,9 @@ down. A launch takes the longest of
     memory     its arrays once, from the second cache if they fit there, else from memory
     own        what its own line in ``OWN`` says: gathers, exchanges within a warp, the longest of its blocks
 
-and launches follow one another, or tasks of a phase go side by side (``fit.branches``), where a phase takes the longest
-of its tasks: at best, as what two of them ask of one memory is not told. ``OWN`` is where the numbers come from; what is
-not there is one pass over its arrays.
+and launches follow one another, or tasks of a phase go side by side (``fit.branches``), where a phase takes as long as
+the longest of its tasks: at best, as what two of them ask of one memory is not told. ``OWN`` is where the numbers come
+from; what is not there is one pass over its arrays.
 """
 
 from __future__ import annotations
