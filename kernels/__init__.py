@@ -29,5 +29,7 @@ The vertex stage, which begins where the grids end:
     block_cg, block_serial  the solve for all moves at once; on one CPU core
     patches, fairing        places that are smooth in time, in patches of the surface; a shape without noise
 
+Where a result is judged: ``closest_faces``, by Warp's own tree.
+
 For a template without Poisson: ``tetrahedra`` (marching, on a deforming grid) and ``winding`` (inside a cloud or not).
 """

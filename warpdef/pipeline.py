@@ -16,7 +16,7 @@ import numpy as np
 
 from warpdef.config import Config
 from warpdef.cube_clouds import CubeClouds
-from warpdef.device import load_kernels, team_size, usable_cores
+from warpdef.device import load_kernels, team_size
 from warpdef.fit.landmarks import PlacedLandmarks
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
@@ -215,7 +215,7 @@ class _Run:
         result = Reconstruction(vertices, faces, chosen.keyframe, config, steps=run.steps, motion=motion)
         with ready.clock.phase("assess"):
             result.appearance, colored, left = find_look(result, sequence, ready.template)
-            verdicts = find_verdicts(result, self.clouds, self.threads or usable_cores())
+            verdicts = find_verdicts(result, self.clouds, ready.device, self.threads)
         result.report = run_report(ready, chosen, run, threads)
         result.report["warnings"] += left + verdicts.pop("warnings")
         result.report |= {"colours": colored, "landmarks": led, "resumed": self._resumed, **verdicts}

@@ -10,7 +10,7 @@ import warp as wp
 import warpdef
 from warpdef.appearance import Appearance
 from warpdef.cube_clouds import CubeClouds
-from warpdef.device import device_warnings
+from warpdef.device import device_warnings, team_size
 from warpdef.errors import MissingPackageError
 from warpdef.fit.run import FitRun
 from warpdef.geometry.surface_colors import surface_colors
@@ -47,12 +47,15 @@ def find_look(
     return look, told, [left] if found.unseen >= _UNSEEN_TOLD else []
 
 
-def find_verdicts(result: Reconstruction, clouds: CubeClouds, threads: int) -> dict[str, Any]:
+def find_verdicts(
+    result: Reconstruction, clouds: CubeClouds, device: wp.Device, threads: int | None = None
+) -> dict[str, Any]:
     """What the clouds alone say of the result, for its report; the confidence goes into the result."""
     eye = None if clouds.eye is None else clouds.into.from_cube(clouds.eye)
     placed = result.vertices, result.faces, result.keyframe
     try:
-        found = assess(clouds.measured.judged_frames(), *placed, threads=threads, eye=eye)
+        frames = clouds.measured.judged_frames()
+        found = assess(frames, *placed, threads=team_size(device, threads), eye=eye, device=device)
     except MissingPackageError as error:  # no reason to lose a finished fit
         return {"warnings": [f"the frames are not judged: {error}"]}
     result.confidence = found.confidence

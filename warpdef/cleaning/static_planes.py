@@ -95,8 +95,8 @@ def _best_plane(clouds: Sequence[np.ndarray], least: float) -> Plane | None:
     for trial in range(TRIALS):
         cloud = usable[trial % len(usable)]
         a, b, c = cloud[rng.choice(len(cloud), 3, replace=False)]
-        normal = np.cross(b - a, c - a)
-        length = np.linalg.norm(normal)
+        normal = _cross(b - a, c - a)
+        length = np.sqrt(normal @ normal)
         if not length > 1e-12 * size**2:
             continue
         normal = normal / length
@@ -106,6 +106,12 @@ def _best_plane(clouds: Sequence[np.ndarray], least: float) -> Plane | None:
     if found is None or best < least:
         return None
     return _fitted(every, *found, size)
+
+
+def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Of two vectors (3,): NumPy's takes twenty times as long for one."""
+    (a, b, c), (x, y, z) = u.tolist(), v.tolist()
+    return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
 
 
 def _fitted(every: np.ndarray, normal: np.ndarray, offset: float, size: float) -> Plane:

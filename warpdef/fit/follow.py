@@ -26,7 +26,7 @@ from warpdef.fit.objective import Objective
 from warpdef.fit.problem import span
 from warpdef.fit.recover import Cloud, ConnectedSurface, Search
 from warpdef.fit.refine import Refinement
-from warpdef.fit.sliding import Hanging, far_share, slide
+from warpdef.fit.sliding import END, WORTH, Hanging, slide
 from warpdef.geometry.cloud_planes import turned_to
 from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.nearby import Nearest
@@ -193,11 +193,13 @@ class _Walk:
     def _slide(self, frame: int, neighbour: int) -> None:
         """A frame whose mesh hangs over its cloud slid back, and settled; kept if it fits better."""
         cloud, vertices = self._clouds[frame], self.search.vertices[frame].copy()
+        if self.search.far(frame, END) < WORTH:
+            return
         if not self._hanging.told(cloud.points, vertices, self.problem.faces):
             return
 
         def cost(frame: int) -> float:
-            return self._misfit(frame) + far_share(cloud.points, self.search.vertices[frame])
+            return self._misfit(frame) + self.search.far(frame, END)
 
         pose = slide(self.bending, SeenCloud.of(cloud.points, cloud.normals), self.bending.pose_of(vertices))
         self._attempt(frame, neighbour, self.bending.place(pose), cost, cost(frame))

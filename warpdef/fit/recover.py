@@ -93,7 +93,12 @@ class Matches:
     def __init__(self, cloud: Cloud, surface: ConnectedSurface, device: wp.Device | None = None) -> None:
         self.cloud, self.surface, self._device = cloud, surface, device
         self._nearest = Nearest(cloud.points, device)
-        self.spacing = float(np.median(Fellows(cloud.points, 2, device=device).distance[:, 1]))
+        fellow = Fellows(cloud.points, 2, device=device).distance[:, 1]
+        self.spacing, self._mean_spacing = float(np.median(fellow)), float(fellow.mean())
+
+    def far(self, vertices: np.ndarray, spacings: float) -> float:
+        """Share of vertices (V, 3) farther than so many mean spacings from all of the points."""
+        return float(np.mean(self._nearest.query(vertices)[0] > spacings * self._mean_spacing))
 
     def find(
         self, vertices: np.ndarray, rule: tuple[float, float] = (REACH, AGREEMENT)
@@ -190,6 +195,10 @@ class Search:
         if t not in self._uncovered:
             self._uncovered[t] = self._matches[t].uncovered(self.vertices[t])
         return self._uncovered[t]
+
+    def far(self, t: int, spacings: float) -> float:
+        """Share of frame t's vertices farther than so many of its points' spacings from all of these."""
+        return self._matches[t].far(self.vertices[t], spacings)
 
     def place(self, t: int, vertices: np.ndarray) -> None:
         """Frame t has these vertices (V, 3) now."""

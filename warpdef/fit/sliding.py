@@ -30,7 +30,8 @@ TANGENTIAL = 0.003
 """Weight along the surface against one across it: what planes leave open, as a sheet's way sidewards, stays."""
 HANGING, SURPLUS = 0.003, 0.01
 """Shares of the surface above which a frame is slid: a third of the surplus that makes it doubtful."""
-_WORTH = 0.003  # share of the vertices far from all points below which neither is asked for
+WORTH = 0.003
+"""Share of the vertices ``END`` spacings from all points below which neither is asked for."""
 
 
 class Hanging:
@@ -50,7 +51,7 @@ class Hanging:
 
     def told(self, points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> bool:
         """Whether the mesh of another frame has surface where its points say that there is none."""
-        if far_share(points, vertices) < _WORTH:
+        if far_share(points, vertices) < WORTH:
             return False
         try:
             coverage = measure_coverage(points, vertices, faces)

@@ -1,10 +1,19 @@
-"""Exact distances from points to surfaces; none of the method's own kernels, so an independent witness of them."""
+"""Exact distances from points to surfaces; none of the method's own kernels, so an independent witness of them.
+
+Where Warp runs it may be asked which face is nearest, in single precision, by its own tree; distances are those to that
+face, in double precision. Of two faces as near as float32 tells, either is taken: 2e-8 of the extent on a body.
+"""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpdef.errors import MissingPackageError
+
+if TYPE_CHECKING:
+    import warp as wp
 
 
 def closest_on_triangles(points: np.ndarray, a: np.ndarray, ab: np.ndarray, ac: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -43,14 +52,15 @@ def closest_on_triangles(points: np.ndarray, a: np.ndarray, ab: np.ndarray, ac: 
 
 
 def closest_on_surface(
-    points: np.ndarray, vertices: np.ndarray, faces: np.ndarray
+    points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, device: wp.Device | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Exact closest place of a triangle mesh to each point (gpytoolbox's bounding-volume tree).
+    """Exact closest place of a triangle mesh to each point (gpytoolbox's bounding-volume tree, or Warp's).
 
     Args:
         points: shape (N, 3).
         vertices: shape (V, 3), the points' units.
         faces: shape (F, 3); degenerate triangles are welcome.
+        device: where Warp is to ask its tree; None: without Warp.
 
     Returns:
         Distances (N,), face indices (N,), and barycentric coordinates (N, 3), none negative.
@@ -58,6 +68,48 @@ def closest_on_surface(
     Raises:
         MissingPackageError: gpytoolbox cannot be imported.
     """
+    points, vertices = np.asarray(points, dtype=np.float64), np.asarray(vertices, dtype=np.float64)
+    face = None if device is None else _faces_on_device(points, vertices, faces, device)
+    if face is None:
+        face = _faces_by_tree(points, vertices, faces)
+    a, b, c = np.moveaxis(vertices[faces[face]], 1, 0)
+    squared, v, w = closest_on_triangles(points, a, b - a, c - a)
+    return np.sqrt(squared), face, np.column_stack([np.maximum(1.0 - v - w, 0.0), v, w])
+
+
+def load_closest(device: wp.Device) -> None:
+    """Let Warp compile and load what ``closest_on_surface`` runs there, before several threads ask."""
+    from warpdef.kernels import closest_faces
+
+    closest_faces._closest_faces.module.load(device)
+
+
+def _faces_on_device(
+    points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, device: wp.Device
+) -> np.ndarray | None:
+    """Nearest faces (N,); None where float32 cannot tell them."""
+    import warp as wp
+
+    from warpdef.device import on_host
+    from warpdef.kernels.closest_faces import closest_faces
+
+    if not len(points) or not len(faces):
+        return None
+    middle = np.median(vertices, axis=0)
+    scale = float(np.abs(vertices - middle).max()) or 1.0
+
+    def uploaded(places: np.ndarray) -> wp.array:
+        return wp.array(((places - middle) / scale).astype(np.float32), dtype=wp.vec3, device=device)
+
+    corners = wp.array(np.ascontiguousarray(faces, dtype=np.int32).ravel(), dtype=wp.int32, device=device)
+    mesh, asked = wp.Mesh(uploaded(vertices), corners), uploaded(points)
+    found = wp.zeros(len(points), dtype=wp.int32, device=device)
+    closest_faces(0, len(points), mesh.id, asked, found)
+    face = on_host(found)
+    return None if (face < 0).any() else face
+
+
+def _faces_by_tree(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     try:
         import gpytoolbox
     except ImportError as error:
@@ -65,10 +117,7 @@ def closest_on_surface(
             f"distances to a surface need gpytoolbox, which failed to import ({error}); "
             "install it: pip install gpytoolbox"
         ) from error
-    points, vertices = np.asarray(points, dtype=np.float64), np.asarray(vertices, dtype=np.float64)
     # Its own barycentric coordinates are NaN on degenerate triangles; only the face is taken.
     with np.errstate(divide="ignore", invalid="ignore"):
         _, face, _ = gpytoolbox.squared_distance(points, vertices, np.asarray(faces, dtype=np.int32), use_cpp=True)
-    a, b, c = np.moveaxis(vertices[faces[face]], 1, 0)
-    squared, v, w = closest_on_triangles(points, a, b - a, c - a)
-    return np.sqrt(squared), face, np.column_stack([np.maximum(1.0 - v - w, 0.0), v, w])
+    return face

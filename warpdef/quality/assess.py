@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdef.cloud import FramePoints, draw_points
+from warpdef.geometry.closest import load_closest
 from warpdef.quality.confidence import vertex_confidence
 from warpdef.quality.coverage import Coverage, doubled_vertices, measure_coverage
 from warpdef.quality.enclosed import inner_share
@@ -21,6 +22,9 @@ from warpdef.quality.shape import ReferenceShape, ShapeChange
 from warpdef.quality.temporal import acceleration, flicker
 from warpdef.quality.verdict import DOUBTFUL, INNER_WALL, LOST, Verdict, judge
 from warpdef.sequence import name_frames
+
+if TYPE_CHECKING:
+    import warp as wp
 
 POINTS_JUDGED = 20_000
 """Points of a frame that are looked at; of larger clouds as many are drawn."""
@@ -84,6 +88,7 @@ def assess(
     shape: np.ndarray | None = None,
     threads: int = 1,
     eye: np.ndarray | None = None,
+    device: wp.Device | None = None,
 ) -> Assessment:
     """Measure every frame of a result against its cloud and against the shape, and judge it.
 
@@ -95,6 +100,8 @@ def assess(
             itself is then held against the median of all frames' edges.
         threads: frames looked at side by side; the answer is the same.
         eye: place of the one camera that saw all clouds, (3,), input units; None if there was none.
+        device: where Warp looks for what is nearest; None: without Warp. The answer is the same but for what float32
+            cannot tell.
 
     Raises:
         MissingPackageError: gpytoolbox cannot be imported.
@@ -112,7 +119,7 @@ def assess(
         points = draw_points(FramePoints(np.asarray(clouds[t], dtype=np.float64)), POINTS_JUDGED, 0, t).points
         placed = vertices[t] - centre
         change = reference.compare(placed, usual if t == keyframe else None)
-        coverage = measure_coverage(points - centre, placed, faces) if len(points) else None
+        coverage = measure_coverage(points - centre, placed, faces, device) if len(points) else None
         layers: dict[str, float | None] = dict.fromkeys(LAYERS)
         if coverage is not None:
             compared = points - centre, placed, faces, coverage
@@ -128,6 +135,8 @@ def assess(
         quality = _frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm))
         return quality, coverage, change.stretch
 
+    if device is not None:
+        load_closest(device)
     # Trees are built and searched outside of the interpreter's lock.
     with ThreadPoolExecutor(min(threads, SIDE_BY_SIDE)) as pool:
         measured = list(pool.map(measure, range(len(clouds))))
