@@ -264,7 +264,7 @@ BREAKS = [
           "key=lambda b: (reach[b] + apart[t, b], b)", ("order",), "long branches of the walk first"),
     Break("warpdef/cleaning/order.py", "and not turns(clouds) else", "else", ("order",),
           "what turns fast is taken for scans in no order"),
-    Break("warpdef/cleaning/order.py", "below < CHANCE and", "below > -99.0 and", ("order",),
+    Break("warpdef/cleaning/order.py", "below >= CHANCE or", "below >= 99.0 or", ("order",),
           "neighbours that are alike are not asked for their ranks"),
     Break("warpdef/motion/gaps.py", "strain(steady) <= max(_STRAINED * strain(turning), _STRAIN_LEAST)", "True",
           ("motion_between",), "limbs that are too fast for a cubic are stretched by it"),
