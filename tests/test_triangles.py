@@ -107,3 +107,13 @@ def test_compact_drops_degenerate_and_doubled_faces_and_unused_vertices():
 def test_compact_of_nothing_is_nothing():
     vertices, faces = triangles.compact(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int32))
     assert vertices.shape == (0, 3) and faces.shape == (0, 3)
+
+
+def test_components_are_the_same_whatever_the_order_of_links(rng):
+    for _ in range(30):
+        count, many = rng.integers(1, 40), rng.integers(0, 60)
+        i, j = rng.integers(0, count, (2, many))
+        order = np.argsort(i, kind="stable")
+        in_rows, shuffled = (triangles.component_labels(*links, count) for links in ((i[order], j[order]), (i, j)))
+        np.testing.assert_array_equal(in_rows, shuffled)
+        assert (in_rows[i] == in_rows[j]).all() and len(in_rows) == count

@@ -8,6 +8,7 @@ conjugate gradients on any graph, and Warp's own as the reference.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -83,10 +84,16 @@ class _Cosine:
 
 
 class _Cholesky:
+    """Factorised at the first solve: where no vertex is moved by the descent there is none."""
+
     direct = False
 
     def __init__(self, graph: Graph, device: wp.Device) -> None:
-        self._solver = CholeskySolver(factorise(graph), device)
+        self._graph, self._device = graph, device
+
+    @cached_property
+    def _solver(self) -> CholeskySolver:
+        return CholeskySolver(factorise(self._graph), self._device)
 
     def solve(self, rhs: wp.array, solution_out: wp.array, first: int, last: int) -> None:
         self._solver.solve(rhs, solution_out)

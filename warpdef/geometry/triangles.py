@@ -67,10 +67,14 @@ def triangle_quality(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 def component_labels(i: np.ndarray, j: np.ndarray, count: int) -> np.ndarray:
     """Connected components of ``count`` nodes joined by links i - j, both (L,): each node's, numbered from 0."""
-    from scipy.sparse import coo_matrix
+    from scipy.sparse import coo_matrix, csr_matrix
     from scipy.sparse.csgraph import connected_components
 
-    graph = coo_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(count, count))
+    if (np.diff(i) < 0).any():
+        graph = coo_matrix((np.ones(len(i)), (i, j)), shape=(count, count))
+    else:  # rows already, which are not sorted again
+        row = np.concatenate([[0], np.cumsum(np.bincount(i, minlength=count))])
+        graph = csr_matrix((np.ones(len(j)), j, row), shape=(count, count))
     return connected_components(graph, directed=False)[1]
 
 
