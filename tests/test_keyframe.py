@@ -92,6 +92,14 @@ def test_the_frame_in_which_objects_lie_apart_is_taken(rng):
     assert "2 objects lie apart there, which touch in other frames" in ranked[0].why
 
 
+def test_a_part_before_another_is_no_object_of_its_own_for_one_camera(rng):
+    clouds = [np.concatenate([ball(rng, 800, 0.3), ball(rng, 400, 0.1) + [0, 0, away]]) for away in (0.2, 0.8, 0.2)]
+    assert list(compare_frames(clouds)[2]) == [1, 2, 1]
+    assert list(compare_frames(clouds, np.array([0.0, 0, 1]))[2]) == [1, 1, 1]
+    assert list(compare_frames(clouds, np.array([1.0, 0, 0]))[2]) == [1, 2, 1]
+    assert rank_keyframes(clouds, KeyframeConfig(), None, np.array([0.0, 0, 1]))[0].objects == 1
+
+
 def test_further_candidates_are_no_neighbours_of_the_first(rng):
     ranked = rank_keyframes([ball(rng, 600) for _ in range(33)], KeyframeConfig())
     chosen = spread_out(ranked, 4)

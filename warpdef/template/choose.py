@@ -74,7 +74,7 @@ def choose_template(
         MissingPackageError: the library for the reconstruction is not there.
     """
     backend = load_backend(config.template.backend)
-    candidates = spread_out(rank_keyframes(clouds, config.keyframe, places), config.template.attempts)
+    candidates = spread_out(rank_keyframes(clouds, config.keyframe, places, view), config.template.attempts)
     attempts = []
     for candidate in candidates:
         if normals[candidate.frame] is not None:

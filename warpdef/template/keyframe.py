@@ -9,7 +9,7 @@ import numpy as np
 
 from warpdef.config import BASE_FRAMES, KeyframeConfig
 from warpdef.errors import InputError
-from warpdef.geometry.coverage import area_and_objects, complete_frames, shares_of_fullest
+from warpdef.geometry.coverage import area_and_objects, complete_frames, object_count, shares_of_fullest
 
 SAMPLE = 2500  # points of a frame from which its area and its objects are told
 SPREAD = 0.12  # of the frames: how far apart in time further keyframes should be
@@ -59,7 +59,10 @@ def require_keyframe(config: KeyframeConfig, frame_count: int) -> None:
 
 
 def rank_keyframes(
-    clouds: Sequence[np.ndarray], config: KeyframeConfig, places: np.ndarray | None = None
+    clouds: Sequence[np.ndarray],
+    config: KeyframeConfig,
+    places: np.ndarray | None = None,
+    view: np.ndarray | None = None,
 ) -> list[KeyframeCandidate]:
     """Candidates, best first: all frames for ``auto``, one for ``first``, ``middle`` or an index.
 
@@ -73,6 +76,8 @@ def rank_keyframes(
         clouds: one array a frame, each (N_t, 3), cube units, free of outliers.
         config: the choice, the grid, gamma and the least coverage.
         places: of the frames where these are in no order, (T,), to be near the middle of; None: their times.
+        view: towards the one camera that saw all clouds, (3,): a part in front of another is no object of its own,
+            though it hangs together with nothing, so that objects are told in the picture.
 
     Raises:
         InputError: an index that is not a frame of the sequence, or one without points.
@@ -89,7 +94,7 @@ def rank_keyframes(
             raise InputError(f"--keyframe: frame {frame} has no usable points; choose another frame")
         frames = [frame]
 
-    area, sizes, objects = compare_frames([clouds[frame] for frame in frames])
+    area, sizes, objects = compare_frames([clouds[frame] for frame in frames], view)
     coverage, complete = shares_of_fullest(area, sizes), complete_frames(area, sizes, config.coverage_min)
     places = np.arange(frame_count) if places is None else places
     gamma = config.gamma * (BASE_FRAMES / max(frame_count, BASE_FRAMES)) ** config.gamma_fall
@@ -133,13 +138,17 @@ def spread_out(ranked: list[KeyframeCandidate], count: int) -> list[KeyframeCand
     return chosen
 
 
-def compare_frames(clouds: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def compare_frames(
+    clouds: Sequence[np.ndarray], view: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Area that each frame shows, how many of its points were asked, and number of its objects; all of shape (T,).
 
-    Of a large cloud ``SAMPLE`` points speak for all.
+    Of a large cloud ``SAMPLE`` points speak for all. ``view``: as in ``rank_keyframes``.
     """
     samples = [_sample(cloud) for cloud in clouds]
     area, objects = zip(*map(area_and_objects, samples), strict=True)
+    if view is not None:
+        objects = [object_count(s - np.outer(s @ view, view)) for s in samples]
     return np.array(area), np.array([len(s) for s in samples]), np.array(objects)
 
 
