@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from warpdef.errors import InputError, MissingPackageError
 from warpdef.mesh import MeshSequence, TriMesh
-from warpdef.truth.metrics import METRICS, UnitBox, compare_surfaces, edge_distortion, evaluate, f_score
+from warpdef.truth.metrics import METRICS, UnitBox, compare_surfaces, edge_distortion, evaluate, f_score, nearest
 
 pytest.importorskip("gpytoolbox")
 SAMPLES = 20_000
@@ -257,6 +260,31 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gpytoolbox", None)
     with pytest.raises(MissingPackageError, match="pip install gpytoolbox"):
         compare_surfaces(plane(0.0), plane(0.1), 100)
+
+
+def test_nearest_points_are_those_of_the_tree(rng: np.random.Generator) -> None:
+    tree, places = cKDTree(rng.random((50, 3))), rng.random((1, 3))
+    for asked in (places, rng.random((301, 3))):
+        for ours, its in zip(nearest(tree, asked), tree.query(asked), strict=True):
+            np.testing.assert_array_equal(ours, its)
+
+
+def test_a_search_that_is_interrupted_leaves_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("warpdef.device.usable_cores", lambda: 3)
+    begun, ended = [], []
+
+    class Tree:
+        def query(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            begun.append(places[0, 0])
+            if places[0, 0] == 0:
+                raise KeyboardInterrupt
+            time.sleep(0.2)
+            ended.append(places[0, 0])
+            return places, places
+
+    with pytest.raises(KeyboardInterrupt):
+        nearest(cast(Any, Tree()), np.arange(9.0).reshape(3, 3))
+    assert set(begun) - {0.0} == set(ended)
 
 
 def test_a_real_body_against_itself_gives_its_sampling_floor(shared_data: Path) -> None:

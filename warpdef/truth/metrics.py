@@ -8,8 +8,9 @@ longest side is 1; the reconstruction goes through the same map.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from warpdef.geometry.sampling import sample_surface
 from warpdef.geometry.triangles import unique_edges
 from warpdef.mesh import MeshSequence, TriMesh
 from warpdef.quality.temporal import acceleration, flicker
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 METRICS = (
     "chamfer_l2",
@@ -96,6 +100,18 @@ def f_score(to_truth: np.ndarray, to_result: np.ndarray, threshold: float) -> fl
     return 2.0 * precision * recall / (precision + recall) if precision + recall > 0.0 else 0.0
 
 
+def nearest(tree: cKDTree, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``tree.query(places, workers=-1)``, whose threads are waited for: SciPy's own are left behind where a signal ends
+    the wait, ask a tree that is gone, and crash the process."""
+    from warpdef.device import usable_cores
+
+    cores = usable_cores()
+    with ThreadPoolExecutor(cores) as pool:
+        found = list(pool.map(tree.query, np.array_split(places, cores)))
+    distances, numbers = zip(*found, strict=True)
+    return np.concatenate(distances), np.concatenate(numbers)
+
+
 def compare_surfaces(
     result: TriMesh, truth: TriMesh, samples: int = 100_000, seed: int | Sequence[int] = 0
 ) -> dict[str, float]:
@@ -123,10 +139,10 @@ def compare_surfaces(
     points, normals = draw(result, _RESULT)
     again, _ = draw(truth, _TRUTH_AGAIN)
     true_tree = cKDTree(true_points)
-    to_truth, true_match = true_tree.query(points, workers=-1)
-    to_result, match = cKDTree(points).query(true_points, workers=-1)
-    forth, _ = true_tree.query(again, workers=-1)
-    back, _ = cKDTree(again).query(true_points, workers=-1)
+    to_truth, true_match = nearest(true_tree, points)
+    to_result, match = nearest(cKDTree(points), true_points)
+    forth, _ = nearest(true_tree, again)
+    back, _ = nearest(cKDTree(again), true_points)
     cosines = (
         np.abs(np.einsum("ni,ni->n", a, b)).mean()
         for a, b in ((normals, true_normals[true_match]), (true_normals, normals[match]))
