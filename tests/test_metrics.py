@@ -270,7 +270,7 @@ def test_nearest_points_are_those_of_the_tree(rng: np.random.Generator) -> None:
 
 
 def test_a_search_that_is_interrupted_leaves_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("warpdef.device.usable_cores", lambda: 3)
+    monkeypatch.setattr("os.cpu_count", lambda: 3)
     begun, ended = [], []
 
     class Tree:

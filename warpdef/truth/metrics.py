@@ -7,6 +7,7 @@ longest side is 1; the reconstruction goes through the same map.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -103,9 +104,7 @@ def f_score(to_truth: np.ndarray, to_result: np.ndarray, threshold: float) -> fl
 def nearest(tree: cKDTree, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """``tree.query(places, workers=-1)``, whose threads are waited for: SciPy's own are left behind where a signal ends
     the wait, ask a tree that is gone, and crash the process."""
-    from warpdef.device import usable_cores
-
-    cores = usable_cores()
+    cores = os.cpu_count() or 1  # as SciPy counts them
     with ThreadPoolExecutor(cores) as pool:
         found = list(pool.map(tree.query, np.array_split(places, cores)))
     distances, numbers = zip(*found, strict=True)
