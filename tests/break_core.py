@@ -267,10 +267,10 @@ BREAKS = [
     Break("warpdef/cleaning/order.py", "below >= CHANCE or", "below >= 99.0 or", ("order",),
           "neighbours that are alike are not asked for their ranks"),
     Break("warpdef/motion/gaps.py", "strain(steady) <= max(_STRAINED * strain(turning), _STRAIN_LEAST)", "True",
-          ("motion_between",), "limbs that are too fast for a cubic are stretched by it"),
-    Break("warpdef/motion/gaps.py", "leave = 2.0 * speed - arrive if", "leave = arrive if", ("motion_between",),
+          ("sequence",), "limbs that are too fast for a cubic are stretched by it"),
+    Break("warpdef/motion/gaps.py", "leave = 2.0 * speed - arrive if", "leave = arrive if", ("sequence",),
           "at an end of the sequence a gap is left as it is arrived at"),
-    Break("warpdef/motion/gaps.py", "len(missing) > _LONGEST or len(times) < 3", "len(times) < 3", ("motion_between",),
+    Break("warpdef/motion/gaps.py", "len(missing) > _LONGEST or len(times) < 3", "len(times) < 3", ("sequence",),
           "speeds are believed over any gap"),
 ]
 # fmt: on

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from synthetic import bending_bar, icosphere, turning_ellipsoid
 
+from warpdef.cleaning import order
 from warpdef.cleaning.order import LEAST_FRAMES, order_by_pose, put_in_order
 from warpdef.config import Config
 from warpdef.geometry.poses import differences, pose_fields, shared_differences
@@ -107,3 +108,20 @@ def test_cleaning_puts_scans_in_order_before_it_looks_for_odd_ones(bar: list[np.
     sequence = clean(PointSequence.from_arrays(shuffled), Config())
     assert len(sequence) == FRAMES and len(sequence.order) == FRAMES
     assert not clean(PointSequence.from_arrays(bar), Config()).order
+
+
+def test_short_branches_of_the_walk_come_first() -> None:
+    """From one end of the longest way: behind a fork the side that ends soon, then the way on."""
+    trunk, side = [(float(t), 0.0) for t in range(7)], [(3.0, 1.0), (3.0, 2.0)]
+    assert order._walk(np.array([*trunk, *side])) == [0, 1, 2, 3, 7, 8, 4, 5, 6]
+
+
+def test_neighbours_that_are_somewhat_alike_are_a_film(rng: np.random.Generator) -> None:
+    """Three quarters as far apart as any two frames, but nearly all of them: by their medians alone no film."""
+    fields = rng.normal(size=(20, 400))
+    for t in range(1, 20):
+        fields[t] = 0.45 * fields[t - 1] + np.sqrt(1.0 - 0.45**2) * fields[t]
+    near, all_pairs = (np.arange(19), np.arange(1, 20)), np.triu_indices(20, 1)
+    assert np.median(differences(fields, *near)) > order.RATIO * np.median(differences(fields, *all_pairs))
+    assert not order._in_no_order(fields, 0.0)
+    assert order._in_no_order(fields[rng.permutation(20)], 0.0)
