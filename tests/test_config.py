@@ -45,6 +45,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "template.screening": FROM_ZERO,
     "template.faces_max": ([19, 0], [20, 10**6]),
     "template.faces_per_point": POSITIVE,
+    "template.faces_sparse": ([-1], [0, 10**6]),
     "template.neighbours": ([3], [4, 40]),
     "template.far_spacings": POSITIVE,
     "template.far_share_max": ([-0.1, 1.1], [0, 1]),

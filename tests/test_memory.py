@@ -122,7 +122,8 @@ def test_it_grows_with_everything() -> None:
         estimate_memory([1000] * 5, 2000, config, cuda=True),
     ):
         assert more.total > least.total and more.device > least.device
-    assert vertices_most([1000, 200], config) == 2002
+    assert vertices_most([1000, 200], config) == 4002  # a sparse keyframe's faces, by all frames
+    assert vertices_most([1000] * 9, config) == 5002
     assert vertices_most([100_000], config) == 10_002
 
 

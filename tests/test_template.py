@@ -168,6 +168,16 @@ def test_the_first_candidate_that_passes_is_taken_without_a_warning(rng):
     assert "occupied voxels" in chosen.why
 
 
+def test_a_sparse_keyframe_has_the_faces_that_the_points_of_all_frames_can_tell(rng):
+    cloud, ways = ball(rng, 200)[0], {}
+    for frames, options in ((1, {}), (3, {}), (3, {"faces_sparse": 1000}), (3, {"faces_sparse": 0})):
+        asked = config(faces_max=20000, **options)
+        chosen = template.choose_template([cloud] * frames + [cloud[:0]], [None] * (frames + 1), asked)
+        ways[frames, options.get("faces_sparse")] = chosen.report.faces_target
+        assert 0.85 * chosen.report.faces_target <= len(chosen.mesh.faces) <= chosen.report.faces_target
+    assert ways == {(1, None): 800, (3, None): 2400, (3, 1000): 1000, (3, 0): 800}
+
+
 def test_an_open_best_frame_is_passed_over_and_told(rng):
     small = ball(rng, 400, (0.5, 0.4, 0.4))[0]
     clouds = [small, cap(rng, 900), small]

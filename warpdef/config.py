@@ -73,6 +73,8 @@ class TemplateConfig:
     """Upper bound on template faces."""
     faces_per_point: float = 4.0
     """Template faces a keyframe point, below ``faces_max``."""
+    faces_sparse: int = 10000
+    """Faces up to which those of a sparse keyframe are counted by the points of all frames: all tell one shape."""
     neighbours: int = 16
     """Neighbours from which a missing normal is estimated."""
     far_spacings: float = 4.0
@@ -95,12 +97,18 @@ class TemplateConfig:
         require(self.screening >= 0, "template.screening", "a number from 0", self.screening)
         require(self.faces_max >= 20, "template.faces_max", "at least 20", self.faces_max)
         require(self.faces_per_point > 0, "template.faces_per_point", "a number above 0", self.faces_per_point)
+        require(self.faces_sparse >= 0, "template.faces_sparse", "0 or more", self.faces_sparse)
         require(self.neighbours >= 4, "template.neighbours", "at least 4", self.neighbours)
         require(self.far_spacings > 0, "template.far_spacings", "a number above 0", self.far_spacings)
         require(0 <= self.far_share_max <= 1, "template.far_share_max", "0 to 1", self.far_share_max)
         require(0 <= self.missed_share_max <= 1, "template.missed_share_max", "0 to 1", self.missed_share_max)
         require(self.attempts >= 1, "template.attempts", "at least 1", self.attempts)
         require_sane(self, "template.")
+
+    def faces_most(self, points: int, frames: int) -> int:
+        """Upper bound on the faces of a template that is built on so many points, of one of so many frames."""
+        one = self.faces_per_point * points
+        return int(min(self.faces_max, max(one, min(self.faces_sparse, one * frames))))
 
 
 @dataclass(frozen=True)

@@ -137,7 +137,7 @@ def _nodes(config: Config) -> int:
 
 def vertices_most(points: Sequence[int], config: Config) -> int:
     """The most vertices that a template built here can have: half of its faces."""
-    return int(min(config.template.faces_max, config.template.faces_per_point * max(points))) // 2 + 2
+    return config.template.faces_most(max(points), len(points)) // 2 + 2
 
 
 def available_memory() -> int | None:

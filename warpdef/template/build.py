@@ -127,7 +127,7 @@ def build(
     backend: Backend | None = None,
     source: str = "given",
 ) -> TemplateResult:
-    """A template with about min(faces_max, faces_per_point * N) even triangles, never more: a ``draft``, finished."""
+    """A template with about ``config.faces_most(N, 1)`` even triangles, never more: a ``draft``, finished."""
     return draft(points, normals, config, backend, source).finish()
 
 
@@ -137,6 +137,7 @@ def draft(
     config: TemplateConfig,
     backend: Backend | None = None,
     source: str = "given",
+    frames: int = 1,
 ) -> Draft:
     """The surface of a template, before its triangles are made even.
 
@@ -151,6 +152,7 @@ def draft(
         config: method, depth, screening, the kind of surface and the number of faces.
         backend: from ``load_backend``; None: the configured one.
         source: of the normals: ``seen`` ones have the side of a camera, which is beyond doubt.
+        frames: of the sequence, all of which tell the shape.
 
     Raises:
         InputError: the reconstruction yields no usable surface.
@@ -186,7 +188,7 @@ def draft(
     vertices, faces, left_out = _keep_objects(vertices, faces, unit_points)
     if left_out > LEFT_OUT_WARN:
         warnings.append(f"{left_out:.0%} of the reconstructed surface lies in separate pieces and was left out")
-    target = max(int(min(config.faces_max, config.faces_per_point * len(points))), 20)
+    target = max(config.faces_most(len(points), frames), 20)
     support, trimming = None, None
     if config.surface != "closed":
         support = Support.of(unit_points, normals)

@@ -73,7 +73,7 @@ def choose_template(
         InputError: the keyframe asked for does not exist, or no surface came out of any frame tried.
         MissingPackageError: the library for the reconstruction is not there.
     """
-    backend = load_backend(config.template.backend)
+    backend, filled = load_backend(config.template.backend), sum(len(cloud) > 0 for cloud in clouds)
     candidates = spread_out(rank_keyframes(clouds, config.keyframe, places, view), config.template.attempts)
     attempts = []
     for candidate in candidates:
@@ -94,7 +94,7 @@ def choose_template(
             sides = normals[frame] if source == "given" else None
             if view is not None and source == "seen":
                 sides = seen_normals(clouds[frame], view, config.template.neighbours)
-            chosen = drafts.begin(draft(clouds[frame], sides, config.template, backend, source), candidate)
+            chosen = drafts.begin(draft(clouds[frame], sides, config.template, backend, source, filled), candidate)
             if chosen.gate.passed and chosen.gate.handles == 0:
                 chosen = drafts.finish(chosen)
         except InputError as error:
