@@ -159,7 +159,8 @@ def test_failure_leaves_the_old_result(tmp_path, monkeypatch, failing, failure, 
 def test_a_result_whose_place_is_full_is_kept_elsewhere(tmp_path, monkeypatch):
     """Among the temporary files, and whole; its own place is left as it was."""
     spare, place = tmp_path / "spare", tmp_path / "place"
-    spare.mkdir(), place.mkdir()
+    spare.mkdir()
+    place.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(spare))
     write_ply = run_folder.write_ply
     monkeypatch.setattr(
