@@ -25,6 +25,7 @@ from warpdef.fit.refine import Refinement
 from warpdef.fit.run import FitRun
 from warpdef.fit.saving import Saver, lasting_facts
 from warpdef.fit.workers import Team
+from warpdef.geometry.closest import closest_kernels
 from warpdef.mesh import MeshSequence, TriMesh, float32_where_exact
 from warpdef.motion.gaps import fill_gaps
 from warpdef.motion.grid_motion import GridMotion
@@ -224,8 +225,9 @@ class _Run:
 
 
 def _compile(optimiser: Optimiser, refinement: Refinement | None) -> None:
-    """All kernels of both stages at once, then their commands."""
+    """All kernels of both stages and of the verdicts at once, then their commands."""
     stages = [stage for stage in (optimiser, refinement) if stage is not None]
-    load_kernels([kernel for stage in stages for kernel in stage.kernels()], optimiser.problem.device)
+    kernels = [kernel for stage in stages for kernel in stage.kernels()]
+    load_kernels([*kernels, *closest_kernels()], optimiser.problem.device)
     for stage in stages:
         stage.prepare()

@@ -77,11 +77,24 @@ def closest_on_surface(
     return np.sqrt(squared), face, np.column_stack([np.maximum(1.0 - v - w, 0.0), v, w])
 
 
-def load_closest(device: wp.Device) -> None:
-    """Let Warp compile and load what ``closest_on_surface`` runs there, before several threads ask."""
-    from warpdef.kernels import closest_faces
+def closest_kernels() -> list[wp.Kernel]:
+    """What ``closest_on_surface`` launches on a device."""
+    import warp as wp
 
-    closest_faces._closest_faces.module.load(device)
+    from warpdef.kernels.closest_faces import closest_faces
+    from warpdef.kernels.launching import listing
+
+    with listing() as found:
+        host = wp.get_device("cpu")
+        point, face = wp.zeros(1, dtype=wp.vec3, device=host), wp.zeros(1, dtype=wp.int32, device=host)
+        closest_faces(0, 1, 0, point, face)
+    return found
+
+
+def load_closest(device: wp.Device) -> None:
+    """Let Warp compile and load that, before several threads ask."""
+    for kernel in closest_kernels():
+        kernel.module.load(device)
 
 
 def _faces_on_device(
