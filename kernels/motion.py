@@ -140,7 +140,7 @@ def _place_vertices(
     # In and out: row source is read, row target written
     vertices: wp.array2d[wp.vec3],
 ):
-    """One thread a vertex, one step of the chain that nothing goes back through; the same bits as with a way back."""
+    """One thread a vertex, one step of the chain that nothing goes back through; on the CPU bits as with a way back."""
     i = begin + wp.tid()
     x = vertices[source, i]
     s = sample_with_derivative(nodes, transition, levels, level_count, x[0], x[1], x[2])

@@ -141,7 +141,10 @@ def test_vertices_that_nothing_goes_back_through_have_the_same_places(arrays: Ar
     for s, source, target in chain.forward + chain.backward:
         place_vertices(0, 40, s, source, target, chain.nodes, arrays.levels, alone)
     assert np.abs(alone.numpy() - template).max() > 0.01
-    np.testing.assert_array_equal(alone.numpy(), chain.vertices.numpy())
+    expected = chain.vertices.numpy()
+    # Of two kernels CUDA's compiler fuses as it likes; of one text the CPU's does as much in both.
+    rounding = 0.0 if arrays.device == "cpu" else 8 * np.finfo(np.float32).eps * np.abs(expected).max()
+    np.testing.assert_allclose(alone.numpy(), expected, rtol=0, atol=rounding)
 
 
 def test_all_transitions_at_once_are_one_after_the_other(arrays: Arrays, rng: np.random.Generator) -> None:
