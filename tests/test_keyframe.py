@@ -100,6 +100,14 @@ def test_a_part_before_another_is_no_object_of_its_own_for_one_camera(rng):
     assert rank_keyframes(clouds, KeyframeConfig(), None, np.array([0.0, 0, 1]))[0].objects == 1
 
 
+def test_a_foot_that_is_cut_off_in_the_picture_is_no_object(rng):
+    foot, away = ball(rng, 60, 0.1), np.array([0.0, 0, 1])
+    body, second = ball(rng, 1000, 0.4), ball(rng, 400, 0.25) + [1.0, 0, 0]
+    clouds = [np.concatenate([body, foot + [1.0, 0, 0]]), np.concatenate([body, second])]
+    assert list(compare_frames(clouds)[2]) == [2, 2]
+    assert list(compare_frames(clouds, away)[2]) == [1, 2]
+
+
 def test_further_candidates_are_no_neighbours_of_the_first(rng):
     ranked = rank_keyframes([ball(rng, 600) for _ in range(33)], KeyframeConfig())
     chosen = spread_out(ranked, 4)

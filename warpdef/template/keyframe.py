@@ -9,9 +9,10 @@ import numpy as np
 
 from warpdef.config import BASE_FRAMES, KeyframeConfig
 from warpdef.errors import InputError
-from warpdef.geometry.coverage import area_and_objects, complete_frames, object_count, shares_of_fullest
+from warpdef.geometry.coverage import area_and_objects, complete_frames, objects_of, shares_of_fullest
 
 SAMPLE = 2500  # points of a frame from which its area and its objects are told
+PICTURE_SHARE = 0.1  # least share of the points that is an object in a picture: a foot has 0.04 of a person's
 SPREAD = 0.12  # of the frames: how far apart in time further keyframes should be
 
 
@@ -148,8 +149,16 @@ def compare_frames(
     samples = [_sample(cloud) for cloud in clouds]
     area, objects = zip(*map(area_and_objects, samples), strict=True)
     if view is not None:
-        objects = [object_count(s - np.outer(s @ view, view)) for s in samples]
+        objects = [_objects_in_picture(s, view) for s in samples]
     return np.array(area), np.array([len(s) for s in samples]), np.array(objects)
+
+
+def _objects_in_picture(points: np.ndarray, view: np.ndarray) -> int:
+    """Clusters in the picture of one camera, without the small ones: what is in front cuts feet and hands off."""
+    if len(points) <= 1:
+        return 1
+    label = objects_of(points - np.outer(points @ view, view))
+    return max(int((np.bincount(label[label >= 0]) >= PICTURE_SHARE * len(points)).sum()), 1)
 
 
 def _sample(points: np.ndarray) -> np.ndarray:
