@@ -6,9 +6,9 @@ around it, from each with the probability of the expectation step (Myronenko and
     p_i = exp(-|q - x_i|^2 / 2 s^2) / (u + sum_j exp(-|q - x_j|^2 / 2 s^2))
 
 and asks each for its part, across the surface alone: A_i += w p_i m_i m_i^T, b_i += w p_i m_i . (q - x_i) m_i, with m
-the vertex's normal and u for points that belong to nothing. The nearest vertex in place of all draws a curved surface
-outwards by its mean curvature times s^2, as more of the noise lies outside; this does not. Vertices beyond three s are
-not asked. No gradient: p and m are held.
+the vertex's normal and u for points that belong to nothing. Two sums a vertex are enough for that. The nearest vertex
+in place of all draws a curved surface outwards by its mean curvature times s^2, as more of the noise lies outside;
+this does not. Vertices beyond three s are not asked. No gradient: p and m are held.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _ASKED_WITHIN = wp.constant(3.0)  # standard deviations
 _NOTHING = wp.constant(0.05)  # u: a vertex 2.4 of them away says as much
 
 
-@sizes("threads cloud frame: K; deviation: G; normals matrix_out rhs_out: N")
+@sizes("threads cloud frame: K; deviation: G; normals sums_out: N")
 @wp.kernel
-def _mixture_planes(
+def _mixture_sums(
     # In:
     begin: int,
     weight: float,
@@ -37,8 +37,7 @@ def _mixture_planes(
     targets: Targets,
     normals: wp.array[wp.vec3],
     # Out, added to:
-    matrix_out: wp.array[wp.mat33],
-    rhs_out: wp.array[wp.vec3],
+    sums_out: wp.array[wp.vec3],
 ):
     """One thread a cloud point, whose vertices others share: what they sum to first, then each one's part."""
     i = begin + wp.tid()
@@ -53,56 +52,74 @@ def _mixture_planes(
     y1 = axis_cell(q[1] + reach, cells.lower[1], cells.size, cells.ny) + 1
     z0 = axis_cell(q[2] - reach, cells.lower[2], cells.size, cells.nz)
     z1 = axis_cell(q[2] + reach, cells.lower[2], cells.size, cells.nz) + 1
+    limit = reach * reach
+    fall = -0.5 / (s * s)
     total = float(_NOTHING)
+    part = float(0.0)
     for turn in range(2):
+        if turn == 1:
+            part = weight / total
         for z in range(z0, z1):
             for y in range(y0, y1):
                 line = (z * cells.ny + y) * cells.nx
                 for slot in range(targets.start[group, line + x0], targets.start[group, line + x1]):
                     r = q - targets.sorted_points[slot]
                     d = wp.length_sq(r)
-                    if d < reach * reach:
-                        p = wp.exp(-0.5 * d / (s * s))
+                    if d < limit:
+                        p = wp.exp(fall * d)
                         if turn == 0:
                             total += p
                         else:
                             j = targets.order[slot]
-                            m = normals[j]
-                            share = weight * p / total
-                            wp.atomic_add(matrix_out, j, share * wp.outer(m, m))
-                            wp.atomic_add(rhs_out, j, (share * wp.dot(m, r)) * m)
+                            share = part * p
+                            wp.atomic_add(sums_out, j, wp.vec3(share, share * wp.dot(normals[j], r), 0.0))
 
 
-@sizes("threads matrix_out rhs_out: N")
+@sizes("threads normals rhs matrix_out: N")
 @wp.kernel
-def _clear_equations(
+def _mixture_planes(
+    # In:
+    begin: int,
+    normals: wp.array[wp.vec3],
+    # In and out: sums, then the right-hand side
+    rhs: wp.array[wp.vec3],
+    # Out:
+    matrix_out: wp.array[wp.mat33],
+):
+    """One thread a vertex of a frame: its equations by its sums, which they replace."""
+    i = begin + wp.tid()
+    m = normals[i]
+    sums = rhs[i]
+    rhs[i] = sums[1] * m
+    matrix_out[i] = sums[0] * wp.outer(m, m)
+
+
+@sizes("threads sums_out: N")
+@wp.kernel
+def _clear_sums(
     # In:
     begin: int,
     # Out:
-    matrix_out: wp.array[wp.mat33],
-    rhs_out: wp.array[wp.vec3],
+    sums_out: wp.array[wp.vec3],
 ):
     """One thread a vertex of a frame."""
-    i = begin + wp.tid()
-    matrix_out[i] = wp.mat33()
-    rhs_out[i] = wp.vec3()
-
-
-def clear_equations(begin: int, count: int, matrix_out: wp.array, rhs_out: wp.array) -> None:
-    """Zero the normal equations of vertices ``begin .. begin + count``; (T V,) mat33 and (T V,) vec3."""
-    launch(_clear_equations, count, [begin, matrix_out, rhs_out], matrix_out.device)
+    sums_out[begin + wp.tid()] = wp.vec3()
 
 
 def mixture_planes(
-    begin: int, count: int, weight: float, cloud: wp.array, frame: wp.array, deviation: wp.array, targets: Targets,
-    normals: wp.array, matrix_out: wp.array, rhs_out: wp.array,
+    vertices: tuple[int, int], points: tuple[int, int], weight: float, cloud: wp.array, frame: wp.array,
+    deviation: wp.array, targets: Targets, normals: wp.array, matrix_out: wp.array, rhs_out: wp.array,
 ) -> None:  # fmt: skip
-    """Add what cloud points ``begin .. begin + count`` ask of the vertices around them.
+    """What cloud points ask of the vertices around them: normal equations, written, not added.
 
     Args:
-        weight: of a point. cloud: shape (N,) vec3. frame: shape (N,) int32, the group of targets a point belongs to.
+        vertices, points: begin and count of those of the same frames. weight: of a point.
+        cloud: shape (N,) vec3. frame: shape (N,) int32, the group of targets a point belongs to.
         deviation: shape (T,) float32, of each frame's noise, above 0. targets: vertices, sorted (``cells``).
         normals: of the vertices, shape (T V,) vec3. matrix_out: shape (T V,) mat33. rhs_out: shape (T V,) vec3.
     """
-    inputs = [begin, weight, cloud, frame, deviation, targets, normals, matrix_out, rhs_out]
-    launch(_mixture_planes, count, inputs, cloud.device)
+    device, (begin, count) = cloud.device, vertices
+    launch(_clear_sums, count, [begin, rhs_out], device)
+    inputs = [points[0], weight, cloud, frame, deviation, targets, normals, rhs_out]
+    launch(_mixture_sums, points[1], inputs, device)
+    launch(_mixture_planes, count, [begin, normals, rhs_out, matrix_out], device)

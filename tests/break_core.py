@@ -116,7 +116,7 @@ BREAKS = [
           "the shape takes a whole step"),
     Break("kernels/planes.py", "rhs = (-w * wp.dot(a, pairs", "rhs = (w * wp.dot(a, pairs", ("planes",),
           "planes push"),
-    Break("kernels/mixture.py", "share = weight * p / total", "share = weight * p", ("mixture",),
+    Break("kernels/mixture.py", "part = weight / total", "part = weight", ("mixture",),
           "a noisy point asks each vertex around it for all"),
     Break("warpdef/geometry/denoise.py", "return x + move * n,", "return x - move * n,", ("denoise",),
           "noisy points move off their surface"),

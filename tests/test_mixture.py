@@ -8,25 +8,28 @@ import reference_refine as twin
 import synthetic
 import warp as wp
 from gradients import assert_gradients_close, finite_differences
-from test_planes import put, spans
+from test_planes import put
 
 from warpdef.kernels.cells import PointGrid
-from warpdef.kernels.mixture import clear_equations, mixture_planes
+from warpdef.kernels.mixture import mixture_planes
 
 WEIGHT = 2.0
 
 
-def run(cloud, frame, deviation, vertices, normals, device: str, cuts=(0,)) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations of vertices (T, V, 3), by the kernel, on top of what had been there before they were cleared."""
-    count = vertices.shape[0] * vertices.shape[1]
-    grid = PointGrid(put(vertices.reshape(-1, 3), wp.vec3, device), [vertices.shape[1]] * len(vertices))
+def run(cloud, frame, deviation, vertices, normals, device: str) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations of vertices (T, V, 3), by the kernels frame by frame, over what had been there."""
+    frames, count = vertices.shape[:2]
+    grid = PointGrid(put(vertices.reshape(-1, 3), wp.vec3, device), [count] * frames)
     grid.build()
-    matrix, rhs = put(np.ones((count, 3, 3)), wp.mat33, device), put(np.ones((count, 3)), wp.vec3, device)
-    clear_equations(0, count, matrix, rhs)
+    matrix, rhs = (
+        put(np.ones((frames * count, 3, 3)), wp.mat33, device),
+        put(np.ones((frames * count, 3)), wp.vec3, device),
+    )
     points = put(cloud, wp.vec3, device), put(frame, wp.int32, device), put(deviation, wp.float32, device)
-    for begin, number in spans(cuts, len(cloud)):
-        facing = put(normals.reshape(-1, 3), wp.vec3, device)
-        mixture_planes(begin, number, WEIGHT, *points, grid.targets, facing, matrix, rhs)
+    facing, begins = put(normals.reshape(-1, 3), wp.vec3, device), np.searchsorted(frame, np.arange(frames + 1))
+    for t in range(frames):
+        of_frame = int(begins[t]), int(begins[t + 1] - begins[t])
+        mixture_planes((t * count, count), of_frame, WEIGHT, *points, grid.targets, facing, matrix, rhs)
     return matrix.numpy(), rhs.numpy()
 
 
@@ -61,7 +64,7 @@ def test_equations_match_the_twin(scene: tuple[np.ndarray, ...], device: str) ->
     cloud, frame, deviation, vertices, normals = scene
     pairs = residuals(cloud, frame, deviation, vertices, normals)
     assert 5.0 < len(pairs.owner) / len(cloud) < 100.0
-    sums = run(cloud, frame, deviation, vertices, normals, device, cuts=(0, 13, 30))
+    sums = run(cloud, frame, deviation, vertices, normals, device)
     for found, expected in zip(sums, pairs.normal_equations(400), strict=True):
         np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5)
 

@@ -22,14 +22,14 @@ from __future__ import annotations
 import numpy as np
 
 from warpdef.geometry.cloud_planes import Neighbourhood, agreement_of, fit_planes, turned_to, unit_vectors
-from warpdef.geometry.curl_free import REGULARISATION, REGULARISATION_NOISY, CurlFreeField, least_norm_start
+from warpdef.geometry.curl_free import AROUND, AROUND_NOISY, CurlFreeField, least_norm_start
 from warpdef.geometry.sampling import spread_evenly
 from warpdef.geometry.triangles import component_labels
 
 CELL_SPACINGS = 1.0  # grid cell, in mean point spacings
 CELL_NOISE = 1.0  # and of clouds with wide noise, in noise
 CLEAR_PLANES = 0.8  # median clarity of a cloud's planes: 0.95 clean, 0.7 with noise of half a percent; above, ...
-START_SPACINGS = 1.5  # ... signs can be taken from a grid as coarse as this, with a third of the cells
+START_SPACINGS = 1.5  # ... signs can be taken from a grid as coarse as this, with a third of the cells; in noise too
 SHARPEN_ITERATIONS = 5
 DISCORD_DOUBTED = 0.006  # of neighbours' sides, above which the field's answer is held against a walk's ...
 DISCORD_GAIN = 0.1  # ... which has to have less than this share of it; a closed body's stays below, noise of 1 % too
@@ -65,9 +65,10 @@ def estimate_normals(points: np.ndarray, neighbours: int = 16, noise: float = 0.
         return sides if noise else _detail(Neighbourhood.of(points, neighbours), sides)
     near = Neighbourhood.of(points, neighbours)
     clarity = fit_planes(near.points, near.index, np.ones(near.index.shape))[1]
-    clear = not noise and float(np.median(clarity)) > CLEAR_PLANES
-    field = CurlFreeField(near.points, max(CELL_SPACINGS * near.spacing, CELL_NOISE * noise))
-    at_first = CurlFreeField(near.points, START_SPACINGS * near.spacing) if clear else field
+    cell, around = max(CELL_SPACINGS * near.spacing, CELL_NOISE * noise), AROUND_NOISY if noise else AROUND
+    at_first = field = CurlFreeField(near.points, cell, around)
+    if noise or float(np.median(clarity)) > CLEAR_PLANES:
+        at_first = CurlFreeField(near.points, START_SPACINGS * cell, around)
     return _estimated(near, field, at_first, planes=not noise)
 
 
@@ -80,7 +81,7 @@ def _of_nearest(points: np.ndarray, few: np.ndarray, normals: np.ndarray) -> np.
 
 def _estimated(near: Neighbourhood, field: CurlFreeField, at_first: CurlFreeField, planes: bool = True) -> np.ndarray:
     """The same, from the grid on which it starts; without local planes it is the field's word."""
-    start = least_norm_start(at_first, near.area, REGULARISATION if planes else REGULARISATION_NOISY)
+    start = least_norm_start(at_first, near.area, noisy=not planes)
     side = _sharpened(near, field, unit_vectors(start), SHARPEN_ITERATIONS)
     normals = _detail(near, side) if planes else side
     if _discord(near, normals) > DISCORD_DOUBTED:

@@ -15,21 +15,24 @@ CELLS_MAX = 6_000_000  # beyond, the cell grows: 0.4 GB
 REGULARISATION = 5.0  # of the start, relative to the mean diagonal: high enough for noise of one spacing
 REGULARISATION_NOISY = 15.0  # and of clouds with wide noise, which no normals explain: with less, round ones turn over
 START_ITERATIONS = 20
+START_ITERATIONS_NOISY = 3  # what more of them explain is noise
 START_TOLERANCE = 1e-2  # only signs are taken from the start
+
+AROUND = 0.25  # of a body on every side, in extents: the periodic images must stay away
+AROUND_NOISY = 0.15
 
 
 class CurlFreeField:
     """Vectors on points, smeared on a periodic grid and freed of curl; and the potentials that go with them."""
 
-    def __init__(self, points: np.ndarray, cell: float) -> None:
+    def __init__(self, points: np.ndarray, cell: float, around: float = AROUND) -> None:
         import scipy.fft
 
         fft: Any = scipy.fft  # its functions are handed on to others, which hides their types
         self._fft = fft
         low = points.min(axis=0)
         extent = points.max(axis=0) - low
-        # The periodic images must stay away: a quarter of the body on every side.
-        pad = max(0.25 * float(extent.max()), 6.0 * cell)
+        pad = max(around * float(extent.max()), 6.0 * cell)
         cell = max(cell, float((np.prod(extent + 2 * pad) / CELLS_MAX) ** (1 / 3)))
         self.shape = tuple(fft.next_fast_len(int(np.ceil(side / cell)) + 2, real=True) for side in extent + 2 * pad)
         self._size = int(np.prod(self.shape))
@@ -86,8 +89,11 @@ class CurlFreeField:
         return np.stack([self._gather(potential * k)[0] for k in self._k], axis=1)
 
 
-def least_norm_start(field: CurlFreeField, area: np.ndarray, regularisation: float = REGULARISATION) -> np.ndarray:
+def least_norm_start(field: CurlFreeField, area: np.ndarray, noisy: bool = False) -> np.ndarray:
     """The shortest normals (N, 3) with chi = 1/2 on every point, regularised: A W A^T + r I by conjugate gradients."""
+    regularisation, iterations = REGULARISATION, START_ITERATIONS
+    if noisy:
+        regularisation, iterations = REGULARISATION_NOISY, START_ITERATIONS_NOISY
 
     def apply(charges: np.ndarray) -> np.ndarray:
         return field.indicator(area[:, None] * field.indicator_adjoint(charges))
@@ -99,7 +105,7 @@ def least_norm_start(field: CurlFreeField, area: np.ndarray, regularisation: flo
     residual = np.full(len(area), 0.5)
     direction, start_sq = residual.copy(), _dot(residual, residual)
     residual_sq = start_sq
-    for _ in range(START_ITERATIONS):
+    for _ in range(iterations):
         image = apply(direction) + damping * direction
         step = residual_sq / _dot(direction, image)
         charges += step * direction

@@ -110,22 +110,23 @@ def _project(
     for begin in range(0, len(places), _CHUNK):
         part = slice(begin, begin + _CHUNK)
         x, n = places[part], sides[part]
+        near = tree.query(x, k=count)[1]
         for _ in range(_PROJECTIONS):
-            x, n = _onto_parabola(x, n, points, normals, *tree.query(x, k=count), width)
+            x, n = _onto_parabola(x, n, points, normals, near, width)
         places[part], sides[part] = x, n
     return places, sides
 
 
 def _onto_parabola(
-    x: np.ndarray, n: np.ndarray, points: np.ndarray, normals: np.ndarray, distance: np.ndarray, index: np.ndarray,
-    width: float,
+    x: np.ndarray, n: np.ndarray, points: np.ndarray, normals: np.ndarray, index: np.ndarray, width: float
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Places (M, 3) and normals (M, 3) once on the parabolas through their neighbours (M, K)."""
-    weight = np.exp(-0.5 * (distance / width) ** 2) * np.maximum(np.einsum("ni,nki->nk", n, normals[index]), 0.0)
     helper = np.where(np.abs(n[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     first = unit_vectors(np.cross(n, helper))
     axes = np.stack([first, np.cross(n, first), n], axis=1)
     local = (points[index] - x[:, None]) @ axes.transpose(0, 2, 1) / width
+    facing = np.maximum(np.einsum("ni,nki->nk", n, normals[index]), 0.0)
+    weight = np.exp(-0.5 * (local**2).sum(axis=2)) * facing
     u, v, height = local[:, :, 0], local[:, :, 1], local[:, :, 2]
     terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=2)
     weighed = weight[:, :, None] * terms
