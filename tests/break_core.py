@@ -156,7 +156,7 @@ BREAKS = [
           "spacing to the second fellow"),
     Break("warpdef/fit/embedded.py", "scale = rigidity / max(len(j), 1)", "scale = rigidity", ("embedded",),
           "rigidity grows with the number of links"),
-    Break("warpdef/fit/recover.py", "return 2.0 * keyframe_uncovered + LOST", "return LOST", ("recover",),
+    Break("warpdef/fit/recover.py", "return 2.0 * keyframe_uncovered + least", "return least", ("recover",),
           "a sparse keyframe makes all frames lost"),
     # The fit that follows.
     Break("kernels/rigidity.py", "if scale > 0.0 and is_rotation(start):", "if scale > 0.0:", ("rigidity",),

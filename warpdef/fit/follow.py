@@ -82,7 +82,7 @@ class _Walk:
         clouds = [self._spread_cloud(t) for t in range(p.frame_count)]
         surface = ConnectedSurface.of(p.faces, p.edges.numpy())
         start = objective.vertices.numpy().astype(np.float64)
-        self.search = Search(start, clouds, surface, p.transitions.keyframe, p.device)
+        self.search = Search(start, clouds, surface, p.transitions.keyframe, p.device, p.scattered is not None)
         self.bent: set[int] = set()
         self.starts: np.ndarray | None = None
         self._clouds, self._edges = clouds, surface.edges
@@ -193,13 +193,14 @@ class _Walk:
     def _slide(self, frame: int, neighbour: int) -> None:
         """A frame whose mesh hangs over its cloud slid back, and settled; kept if it fits better."""
         cloud, vertices = self._clouds[frame], self.search.vertices[frame].copy()
-        if self.search.far(frame, END) < WORTH:
+        noise = self.problem.noise_of(frame)
+        if self.search.far(frame, END, noise) < WORTH:
             return
         if not self._hanging.told(cloud.points, vertices, self.problem.faces):
             return
 
         def cost(frame: int) -> float:
-            return self._misfit(frame) + self.search.far(frame, END)
+            return self._misfit(frame) + self.search.far(frame, END, noise)
 
         pose = slide(self.bending, SeenCloud.of(cloud.points, cloud.normals), self.bending.pose_of(vertices))
         self._attempt(frame, neighbour, self.bending.place(pose), cost, cost(frame))

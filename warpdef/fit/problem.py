@@ -122,7 +122,12 @@ class Problem:
         sizes, flat = np.array([len(c) for c in clouds]), self.vectors(np.concatenate(clouds))
         self.scattered = Clouds(flat, flat, sizes, _offsets(sizes))
         self.scattered_frame = self.integers(np.repeat(np.arange(len(clouds)), sizes))
-        self.deviation = self.numbers(np.array([s.deviation for s in scattered]))
+        self._noise = np.array([s.deviation for s in scattered])
+        self.deviation = self.numbers(self._noise)
+
+    def noise_of(self, frame: int) -> float:
+        """Of the points across their surface, cube units, where that is wider than they stand apart; else 0."""
+        return float(self._noise[frame]) if self.scattered is not None else 0.0
 
     def _lay_template(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         # Vertices travel in Morton order; `place` takes results back to the template's own order.

@@ -39,6 +39,8 @@ TANGENTIAL = 0.02
 """Weight of a match's distance along the surface."""
 LOST = 0.005
 """Share of points that no connected part covers, above twice the keyframe's, from which a frame has lost something."""
+LOST_NOISY = 0.01
+"""The same of clouds with wide noise, which leaves as much uncovered of limbs as thin as itself."""
 _STILL = 0.02  # of the reach: a largest move below it ends the bending
 _BETTER = 0.7  # of the old uncovered share: what a second fit must reach to be taken, where it leaves something lost
 _NOTHING = 0.3  # uncovered share of a neighbour from which nothing can be learnt
@@ -96,9 +98,9 @@ class Matches:
         fellow = Fellows(cloud.points, 2, device=device).distance[:, 1]
         self.spacing, self._mean_spacing = float(np.median(fellow)), float(fellow.mean())
 
-    def far(self, vertices: np.ndarray, spacings: float) -> float:
-        """Share of vertices (V, 3) farther than so many mean spacings from all of the points."""
-        return float(np.mean(self._nearest.query(vertices)[0] > spacings * self._mean_spacing))
+    def far(self, vertices: np.ndarray, spacings: float, noise: float = 0.0) -> float:
+        """Share of vertices (V, 3) farther than so many mean spacings, or so often the noise, from all of the points."""
+        return float(np.mean(self._nearest.query(vertices)[0] > spacings * max(self._mean_spacing, noise)))
 
     def find(
         self, vertices: np.ndarray, rule: tuple[float, float] = (REACH, AGREEMENT)
@@ -133,9 +135,10 @@ class Matches:
         return float(np.mean(distance > REACH * self.spacing + 0.6 * around[trusted][nearest]))
 
 
-def lost_above(keyframe_uncovered: float) -> float:
+def lost_above(keyframe_uncovered: float, noisy: bool = False) -> float:
     """Uncovered share of points above which a frame has lost something."""
-    return 2.0 * keyframe_uncovered + LOST
+    least = LOST_NOISY if noisy else LOST
+    return 2.0 * keyframe_uncovered + least
 
 
 def recover(
@@ -173,6 +176,7 @@ class Search:
     Args:
         vertices: shape (T, V, 3) float64; frames that learn are overwritten. clouds: T of them, in the same unit.
         surface: of the mesh. keyframe: a frame that fits. device: where the nearest is looked for; None: on the host.
+        noisy: whether the clouds' noise is wide.
     """
 
     def __init__(
@@ -182,12 +186,13 @@ class Search:
         surface: ConnectedSurface,
         keyframe: int,
         device: wp.Device | None = None,
+        noisy: bool = False,
     ) -> None:
         self.vertices, self._clouds, self._surface, self._keyframe = vertices, clouds, surface, keyframe
         self._device = device
         self._matches = [Matches(cloud, surface, device) for cloud in clouds]
         self._uncovered: dict[int, float] = {}
-        self._bound = lost_above(self.uncovered(keyframe))
+        self._bound = lost_above(self.uncovered(keyframe), noisy)
         self.recovered: set[int] = set()
 
     def uncovered(self, t: int) -> float:
@@ -196,9 +201,9 @@ class Search:
             self._uncovered[t] = self._matches[t].uncovered(self.vertices[t])
         return self._uncovered[t]
 
-    def far(self, t: int, spacings: float) -> float:
-        """Share of frame t's vertices farther than so many of its points' spacings from all of these."""
-        return self._matches[t].far(self.vertices[t], spacings)
+    def far(self, t: int, spacings: float, noise: float = 0.0) -> float:
+        """Share of frame t's vertices farther than so many of its points' spacings, or noise, from all of these."""
+        return self._matches[t].far(self.vertices[t], spacings, noise)
 
     def place(self, t: int, vertices: np.ndarray) -> None:
         """Frame t has these vertices (V, 3) now."""

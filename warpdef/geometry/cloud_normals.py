@@ -30,6 +30,7 @@ CELL_SPACINGS = 1.0  # grid cell, in mean point spacings
 CELL_NOISE = 1.0  # and of clouds with wide noise, in noise
 CLEAR_PLANES = 0.8  # median clarity of a cloud's planes: 0.95 clean, 0.7 with noise of half a percent; above, ...
 START_SPACINGS = 1.5  # ... signs can be taken from a grid as coarse as this, with a third of the cells; in noise too
+START_EXTENTS = 0.02  # ... though no coarser than this share of the body, whose limbs it has to tell apart
 SHARPEN_ITERATIONS = 5
 DISCORD_DOUBTED = 0.006  # of neighbours' sides, above which the field's answer is held against a walk's ...
 DISCORD_GAIN = 0.1  # ... which has to have less than this share of it; a closed body's stays below, noise of 1 % too
@@ -68,7 +69,8 @@ def estimate_normals(points: np.ndarray, neighbours: int = 16, noise: float = 0.
     cell, around = max(CELL_SPACINGS * near.spacing, CELL_NOISE * noise), AROUND_NOISY if noise else AROUND
     at_first = field = CurlFreeField(near.points, cell, around)
     if noise or float(np.median(clarity)) > CLEAR_PLANES:
-        at_first = CurlFreeField(near.points, START_SPACINGS * cell, around)
+        coarsest = max(START_EXTENTS * float(np.ptp(near.points, axis=0).max()), cell)
+        at_first = CurlFreeField(near.points, min(START_SPACINGS * cell, coarsest), around)
     return _estimated(near, field, at_first, planes=not noise)
 
 
