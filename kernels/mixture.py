@@ -106,20 +106,30 @@ def _clear_sums(
     sums_out[begin + wp.tid()] = wp.vec3()
 
 
-def mixture_planes(
-    vertices: tuple[int, int], points: tuple[int, int], weight: float, cloud: wp.array, frame: wp.array,
-    deviation: wp.array, targets: Targets, normals: wp.array, matrix_out: wp.array, rhs_out: wp.array,
+def clear_sums(begin: int, count: int, sums_out: wp.array) -> None:
+    """Zero the sums of vertices ``begin .. begin + count``; (T V,) vec3."""
+    launch(_clear_sums, count, [begin, sums_out], sums_out.device)
+
+
+def mixture_sums(
+    begin: int, count: int, weight: float, cloud: wp.array, frame: wp.array, deviation: wp.array, targets: Targets,
+    normals: wp.array, sums_out: wp.array,
 ) -> None:  # fmt: skip
-    """What cloud points ask of the vertices around them: normal equations, written, not added.
+    """Add what cloud points ``begin .. begin + count`` ask of the vertices around them: sum of w p, and of w p m . r.
 
     Args:
-        vertices, points: begin and count of those of the same frames. weight: of a point.
-        cloud: shape (N,) vec3. frame: shape (N,) int32, the group of targets a point belongs to.
+        weight: of a point. cloud: shape (N,) vec3. frame: shape (N,) int32, the group of targets a point belongs to.
         deviation: shape (T,) float32, of each frame's noise, above 0. targets: vertices, sorted (``cells``).
-        normals: of the vertices, shape (T V,) vec3. matrix_out: shape (T V,) mat33. rhs_out: shape (T V,) vec3.
+        normals: of the vertices, shape (T V,) vec3. sums_out: shape (T V,) vec3, its third component left alone.
     """
-    device, (begin, count) = cloud.device, vertices
-    launch(_clear_sums, count, [begin, rhs_out], device)
-    inputs = [points[0], weight, cloud, frame, deviation, targets, normals, rhs_out]
-    launch(_mixture_sums, points[1], inputs, device)
-    launch(_mixture_planes, count, [begin, normals, rhs_out, matrix_out], device)
+    inputs = [begin, weight, cloud, frame, deviation, targets, normals, sums_out]
+    launch(_mixture_sums, count, inputs, cloud.device)
+
+
+def mixture_planes(begin: int, count: int, normals: wp.array, rhs: wp.array, matrix_out: wp.array) -> None:
+    """Normal equations of vertices ``begin .. begin + count``, by their sums, which are where the right-hand side goes.
+
+    Args:
+        normals: shape (T V,) vec3. rhs: shape (T V,) vec3, of ``mixture_sums``. matrix_out: shape (T V,) mat33.
+    """
+    launch(_mixture_planes, count, [begin, normals, rhs, matrix_out], rhs.device)

@@ -11,7 +11,7 @@ from gradients import assert_gradients_close, finite_differences
 from test_planes import put
 
 from warpdef.kernels.cells import PointGrid
-from warpdef.kernels.mixture import mixture_planes
+from warpdef.kernels.mixture import clear_sums, mixture_planes, mixture_sums
 
 WEIGHT = 2.0
 
@@ -29,7 +29,9 @@ def run(cloud, frame, deviation, vertices, normals, device: str) -> tuple[np.nda
     facing, begins = put(normals.reshape(-1, 3), wp.vec3, device), np.searchsorted(frame, np.arange(frames + 1))
     for t in range(frames):
         of_frame = int(begins[t]), int(begins[t + 1] - begins[t])
-        mixture_planes((t * count, count), of_frame, WEIGHT, *points, grid.targets, facing, matrix, rhs)
+        clear_sums(t * count, count, rhs)
+        mixture_sums(*of_frame, WEIGHT, *points, grid.targets, facing, rhs)
+        mixture_planes(t * count, count, facing, rhs, matrix)
     return matrix.numpy(), rhs.numpy()
 
 

@@ -17,7 +17,7 @@ from warpdef.device import on_host
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import Problem, span
 from warpdef.kernels.borders import cloud_borders, vertex_borders
-from warpdef.kernels.mixture import mixture_planes
+from warpdef.kernels.mixture import clear_sums, mixture_planes, mixture_sums
 from warpdef.kernels.pairs import pairs_of
 from warpdef.kernels.planes import cloud_planes, vertex_normals, vertex_planes
 
@@ -102,13 +102,12 @@ class Pairing:
         """The same of noisy clouds as they were measured: every point asks all vertices that it may come from."""
         p = self._problem
         assert p.scattered is not None and self._mixture is not None
-        vertices, points = (
-            (first * p.vertex_count, (last - first) * p.vertex_count),
-            span(p.scattered.offsets, first, last),
-        )
-        targets, sums = self._correspondences.grid.targets, (matrix_out, rhs_out)
-        mixture_planes(vertices, points, _POINT, *self._mixture, targets, self._normals.flatten(), *sums)
-        self._across_borders(vertices, span(p.cloud_offsets, first, last), *sums)
+        vertices = first * p.vertex_count, (last - first) * p.vertex_count
+        points, normals = span(p.scattered.offsets, first, last), self._normals.flatten()
+        clear_sums(*vertices, rhs_out)
+        mixture_sums(*points, _POINT, *self._mixture, self._correspondences.grid.targets, normals, rhs_out)
+        mixture_planes(*vertices, normals, rhs_out, matrix_out)
+        self._across_borders(vertices, span(p.cloud_offsets, first, last), matrix_out, rhs_out)
 
     def equations(self, first: int, last: int, matrix_out: wp.array, rhs_out: wp.array) -> None:
         """What the pairs of frames ``first .. last`` ask for: normal equations, written, not added.
