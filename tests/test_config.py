@@ -27,6 +27,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "cut_static": FREE,
     "drop_strays": FREE,
     "drop_odd_frames": FREE,
+    "trust_normals": FREE,
     "colours": (["", "some"], ["still", "moving", "off"]),
     "order": (["", "pose"], ["auto", "time"]),
     "fill": ([0, -0.5, 1.01], [0.5, 1]),

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import warpdef
-from warpdef.cleaning.wide_noise import without_wide_noise
+from warpdef.cleaning.wide_noise import noise_facts, noise_note, without_wide_noise
+from warpdef.config import Config
 from warpdef.geometry.cloud_normals import estimate_normals
 from warpdef.geometry.denoise import POINTS, denoised, noise_if_wide
+from warpdef.prepare import clean
 from warpdef.sequence import PointSequence, Similarity
 
 NOISE = 0.08
@@ -83,4 +85,46 @@ def test_the_fit_is_unbiased_and_smooth() -> None:
     assert np.sqrt((off**2).mean()) < 0.35 * NOISE
     assert abs(off.mean()) < 0.1 * NOISE
     assert result.report["template"]["gate"]["handles"] == 0
-    assert result.report["template"]["normals"] == "given"
+    assert result.report["template"]["normals"] == "estimated"
+    told = result.report["noise"]
+    assert told["deviation"] == pytest.approx(NOISE, rel=0.3)
+    assert (told["points"], told["normals"], told["normals_given"]) == (2500, "estimated", 0)
+    assert sum("clouds are noisy" in w for w in result.report["warnings"]) == 1
+
+
+def test_sides_given_are_replaced_and_told_or_kept() -> None:
+    """Of normals that all point inwards."""
+    clouds = [ellipsoid(2500, NOISE, seed) for seed in range(3)]
+    inwards = [-c / np.linalg.norm(c, axis=1, keepdims=True) for c in clouds]
+    for given, trusted, outwards, ending in (
+        (inwards, False, True, "(--trust-normals keeps the sides of these)"),
+        (inwards, True, False, "given normals keep their sides"),
+        ([None] * 3, True, True, "moved onto it"),
+    ):
+        sequence = PointSequence.from_arrays(clouds, given)
+        into = Similarity.into_cube(sequence.points, 0.95)
+        scattered, calm = without_wide_noise(sequence, into, 16, trusted)
+        assert scattered is not None
+        for points, normals in zip(calm.points, calm.normals, strict=True):
+            assert normals is not None
+            assert (((normals * points).sum(axis=1) > 0).mean() > 0.99) == outwards
+            assert (((normals * points).sum(axis=1) < 0).mean() > 0.99) != outwards
+        facts = noise_facts(scattered, sequence, calm, into, trusted)
+        assert facts["deviation"] == pytest.approx(NOISE, rel=0.3)
+        assert facts["share"] == pytest.approx(facts["deviation"] / np.ptp(np.concatenate(clouds), axis=0).max())
+        assert noise_note(facts).endswith(ending)
+
+
+def test_trusted_normals_are_left_as_they_are() -> None:
+    """Sides that would be turned over are not, and directions that say nothing stay."""
+    clouds = [ellipsoid(2500, 0.0, seed) for seed in range(3)]
+    rng = np.random.default_rng(7)
+    for given in (
+        [-c / np.linalg.norm(c, axis=1, keepdims=True) for c in clouds],
+        [rng.normal(size=c.shape) for c in clouds],
+    ):
+        sequence = PointSequence.from_arrays(clouds, given)
+        kept, changed = (clean(sequence, Config(trust_normals=trusted)) for trusted in (True, False))
+        for before, after, other in zip(sequence.normals, kept.normals, changed.normals, strict=True):
+            np.testing.assert_array_equal(before, after)
+            assert other is None or not np.array_equal(before, other)

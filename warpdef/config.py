@@ -353,6 +353,8 @@ class Config:
     """Cut planes wider than the object that stand still in all frames: floor, walls, table; objects alone keep all."""
     drop_strays: bool = True
     """Leave out points that belong to no surface: single ones and loose clusters far from it; clean clouds keep all."""
+    trust_normals: bool = False
+    """Given normals keep their sides: none is turned over or left out, nor told anew where clouds are noisy."""
     colours: Literal["still", "moving", "off"] = "still"
     """Colours of the clouds on the mesh: ``still``, a median over the frames; ``moving``, of each frame; ``off``."""
     drop_odd_frames: bool = True

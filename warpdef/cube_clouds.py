@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warpdef.cleaning.wide_noise import without_wide_noise
+from warpdef.cleaning.wide_noise import noise_facts, without_wide_noise
 from warpdef.config import Config
 from warpdef.geometry.cloud_planes import pca_normals
 from warpdef.geometry.denoise import Scattered
@@ -25,6 +25,7 @@ class CubeClouds:
     scattered: noisy clouds as they were measured, cube units; None where ``calm`` is ``measured``
     view:      direction in which one camera looked, (3,); None if there was no such camera
     eye:       its place, cube units, (3,); None where its place is not known
+    noise:     what is told of noisy clouds, plain values; None where ``calm`` is ``measured``
     """
 
     into: Similarity
@@ -33,6 +34,7 @@ class CubeClouds:
     scattered: list[Scattered] | None
     view: np.ndarray | None
     eye: np.ndarray | None
+    noise: dict[str, float | int | str] | None = None
 
     @classmethod
     def of(cls, sequence: PointSequence, config: Config) -> CubeClouds:
@@ -45,8 +47,11 @@ class CubeClouds:
             view = viewing_direction(points)
             eye = None if view is None else camera_place(points, view)
         if view is None and not config.optimiser.chain:
-            scattered, calm = without_wide_noise(sequence, into, config.template.neighbours)
-        return cls(into, sequence, calm, scattered, view, eye)
+            scattered, calm = without_wide_noise(sequence, into, config.template.neighbours, config.trust_normals)
+        noise = None
+        if scattered is not None:
+            noise = noise_facts(scattered, sequence, calm, into, config.trust_normals)
+        return cls(into, sequence, calm, scattered, view, eye, noise)
 
     def points(self) -> list[np.ndarray]:
         """Those of ``calm``, T arrays (N_t, 3), cube units; made anew each time, as nothing needs them for long."""

@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from warpdef.cleaning.wide_noise import noise_note
 from warpdef.config import Config
 from warpdef.cube_clouds import CubeClouds
 from warpdef.device import load_kernels, team_size
@@ -78,7 +79,8 @@ def reconstruct(
     with ready.clock.phase("template"), explained_shortage(ready.estimate, ready.device):
         clouds = CubeClouds.of(ready.sequence, ready.config)
         chosen = find_template(clouds, ready.template, ready.config, ready.saved)
-    for warning in (*ready.sequence.warnings, *chosen.warnings):
+    noisy = () if clouds.noise is None else (noise_note(clouds.noise),)
+    for warning in (*ready.sequence.warnings, *noisy, *chosen.warnings):
         tell(Progress("template", message=warning))
 
     # Optimization: one descent for all transitions and the template; begun again where memory runs out.
@@ -218,7 +220,9 @@ class _Run:
             result.appearance, colored, left = find_look(result, sequence, ready.template)
             verdicts = find_verdicts(result, self.clouds, ready.device, self.threads)
         result.report = run_report(ready, chosen, run, threads)
-        result.report["warnings"] += left + verdicts.pop("warnings")
+        noise = self.clouds.noise
+        result.report["warnings"] += left + verdicts.pop("warnings") + ([] if noise is None else [noise_note(noise)])
+        result.report["noise"] = noise
         result.report |= {"colours": colored, "landmarks": led, "resumed": self._resumed, **verdicts}
         result.report["input"] = {"path": self.safeguards.notes.get("input", ""), "digests": run.saver.digests}
         return result

@@ -150,8 +150,9 @@ def clean(sequence: PointSequence, config: Config, device: wp.Device | None = No
         sequence = cut_static_planes(sequence)
     if config.drop_strays:
         sequence = drop_strays(sequence, device)
-    sequence = leave_out_useless_normals(tell_coarse_steps(sequence))
-    sequence = turn_to_one_side(sequence, config.template.neighbours)
+    sequence = tell_coarse_steps(sequence)
+    if not config.trust_normals:
+        sequence = turn_to_one_side(leave_out_useless_normals(sequence), config.template.neighbours)
     if config.cut_static:
         sequence = tell_static_parts(sequence)
     if config.order == "auto":

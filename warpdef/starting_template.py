@@ -60,6 +60,8 @@ def _own_template(clouds: CubeClouds, config: Config) -> ChosenTemplate:
             return chosen
     # Keyframe Selection: the frame with most surface near the middle, and screened Poisson on it.
     chosen = choose_template(points, normals, config, view, sequence.places)
+    if clouds.noise is not None and clouds.noise["normals"] == "estimated":
+        chosen = replace(chosen, report=replace(chosen.report, normals="estimated"))
     if not note:
         return replace(chosen, why=f"{chosen.why}{sheet_note(chosen.report)}")
     ends = "the mesh is a sheet of what is seen" if chosen.report.surface == "open" else "its far side is a guess"

@@ -28,6 +28,7 @@ IDEAS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("full coverage of keyframes", {"keyframe.coverage_min": 0.0}),
     ("static planes cut", {"cut_static": False}),
     ("stray points left out", {"drop_strays": False}),
+    ("sides of given normals looked at", {"trust_normals": True}),
     ("scans in no order found out", {"order": "time"}),
     ("odd frames left out", {"drop_odd_frames": False}),
     ("isometry", {"loss.isometry_weight": 0.0}),

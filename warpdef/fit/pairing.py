@@ -79,7 +79,8 @@ class Pairing:
         opposed = (normals * facing).sum(axis=1) < 0
         share = np.add.reduceat(opposed, p.cloud_offsets[:-1]) / p.cloud_sizes
         # A few always do: between two surfaces that touch, the nearest vertex may belong to the other one.
-        doubtful = ~p.oriented | (False if p.seen else share > _OPPOSED_MAX)
+        certain = p.seen or p.config.trust_normals
+        doubtful = ~p.oriented | (False if certain else share > _OPPOSED_MAX)
         self.doubtful.assign(doubtful.astype(np.int32))
         turned = opposed & np.repeat(doubtful, p.cloud_sizes)
         normals[turned] *= -1.0

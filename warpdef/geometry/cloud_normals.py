@@ -29,8 +29,8 @@ from warpdef.geometry.triangles import component_labels
 CELL_SPACINGS = 1.0  # grid cell, in mean point spacings
 CELL_NOISE = 1.0  # and of clouds with wide noise, in noise
 CLEAR_PLANES = 0.8  # median clarity of a cloud's planes: 0.95 clean, 0.7 with noise of half a percent; above, ...
-START_SPACINGS = 1.5  # ... signs can be taken from a grid as coarse as this, with a third of the cells; in noise too
-START_EXTENTS = 0.02  # ... though no coarser than this share of the body, whose limbs it has to tell apart
+START_SPACINGS = 1.5  # ... signs can be taken from a grid as coarse as this, with a third of the cells; in noise ...
+START_EXTENTS = 0.02  # ... too, up to this share of the body, whose limbs it has to tell apart
 SHARPEN_ITERATIONS = 5
 DISCORD_DOUBTED = 0.006  # of neighbours' sides, above which the field's answer is held against a walk's ...
 DISCORD_GAIN = 0.1  # ... which has to have less than this share of it; a closed body's stays below, noise of 1 % too
@@ -68,9 +68,9 @@ def estimate_normals(points: np.ndarray, neighbours: int = 16, noise: float = 0.
     clarity = fit_planes(near.points, near.index, np.ones(near.index.shape))[1]
     cell, around = max(CELL_SPACINGS * near.spacing, CELL_NOISE * noise), AROUND_NOISY if noise else AROUND
     at_first = field = CurlFreeField(near.points, cell, around)
-    if noise or float(np.median(clarity)) > CLEAR_PLANES:
-        coarsest = max(START_EXTENTS * float(np.ptp(near.points, axis=0).max()), cell)
-        at_first = CurlFreeField(near.points, min(START_SPACINGS * cell, coarsest), around)
+    coarse = START_SPACINGS * cell
+    if coarse < START_EXTENTS * np.ptp(near.points, axis=0).max() if noise else np.median(clarity) > CLEAR_PLANES:
+        at_first = CurlFreeField(near.points, coarse, around)
     return _estimated(near, field, at_first, planes=not noise)
 
 

@@ -15,7 +15,7 @@ CELLS_MAX = 6_000_000  # beyond, the cell grows: 0.4 GB
 REGULARISATION = 5.0  # of the start, relative to the mean diagonal: high enough for noise of one spacing
 REGULARISATION_NOISY = 15.0  # and of clouds with wide noise, which no normals explain: with less, round ones turn over
 START_ITERATIONS = 20
-START_ITERATIONS_NOISY = 5  # what more of them explain is noise
+START_ITERATIONS_NOISY = 3  # what more of them explain is noise
 START_TOLERANCE = 1e-2  # only signs are taken from the start
 
 AROUND = 0.25  # of a body on every side, in extents: the periodic images must stay away

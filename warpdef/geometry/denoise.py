@@ -64,12 +64,15 @@ def noise_if_wide(points: np.ndarray) -> float:
     return noise if noise > NOISY * spacing else 0.0
 
 
-def denoised(points: np.ndarray, noise: float, neighbours: int = 16) -> tuple[np.ndarray, np.ndarray]:
+def denoised(
+    points: np.ndarray, noise: float, neighbours: int = 16, trusted: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Points on the surface that a noisy cloud scatters around, and their outward unit normals.
 
     Args:
         points: shape (N, 3), any units. noise: their standard deviation across the surface, above 0.
         neighbours: as in ``estimate_normals``, of the thinned cloud.
+        trusted: normals of the points, (N, 3), unit length, whose side is taken as it is; None: it is told anew.
 
     Returns:
         At most ``POINTS``, or half as many as the noise leaves apart, (M, 3) float64, and normals (M, 3).
@@ -82,7 +85,10 @@ def denoised(points: np.ndarray, noise: float, neighbours: int = 16) -> tuple[np
     held = float(np.mean(tree.query_ball_point(points[order[:_ASKED]], _BALL * noise, return_length=True)))
     density = held / _HELD
     thinned = int(np.clip(len(points) / density, min(1000, len(points)), len(points)))
-    normals = _sides(points, tree, order[:thinned], noise, neighbours)
+    if trusted is None:
+        normals = _sides(points, tree, order[:thinned], noise, neighbours)
+    else:
+        normals = _spread_over(points, points, np.asarray(trusted, dtype=np.float64), noise)
     chosen = np.sort(order[: max(thinned // 2, POINTS)])
     width = noise * float(np.clip(_WIDTH * density**-_WIDTH_FALL, *_WIDTHS))
     return _project(points, normals, tree, chosen, width)
@@ -90,12 +96,16 @@ def denoised(points: np.ndarray, noise: float, neighbours: int = 16) -> tuple[np
 
 def _sides(points: np.ndarray, tree: cKDTree, thinned: np.ndarray, noise: float, neighbours: int) -> np.ndarray:
     """Outward normals of all points, smooth over the noise."""
-    from scipy.spatial import cKDTree
-
     count = max(4, _MEAN_OF * len(points) // len(thinned))
     means = points[tree.query(points[thinned], k=min(count, len(points)))[1]].mean(axis=1)
-    sides = estimate_normals(means, neighbours, noise)
-    distance, index = cKDTree(means).query(points, k=min(_SPREAD_NEIGHBOURS, len(means)))
+    return _spread_over(points, means, estimate_normals(means, neighbours, noise), noise)
+
+
+def _spread_over(points: np.ndarray, places: np.ndarray, sides: np.ndarray, noise: float) -> np.ndarray:
+    """Unit normals of points (N, 3): means of the ``sides`` (M, 3) at places (M, 3) around them."""
+    from scipy.spatial import cKDTree
+
+    distance, index = cKDTree(places).query(points, k=min(_SPREAD_NEIGHBOURS, len(places)))
     weight = np.exp(-0.5 * (distance / noise) ** 2) + 1e-12
     return unit_vectors(np.einsum("nk,nki->ni", weight, sides[index]))
 

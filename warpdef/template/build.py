@@ -32,7 +32,8 @@ class TemplateReport:
     """How a template came about.
 
     backend:       ``gpytoolbox``, ``pymeshlab``, or ``user``
-    normals:       ``given``, ``estimated``, ``seen`` (their side from one camera), or ``none`` for a user's mesh
+    normals:       ``given``, ``trusted``, ``estimated``, ``seen`` (their side from one camera), or ``none`` for a mesh
+                   of the user's
     flipped:       given normals that were turned over
     method:        ``poisson``, ``tetrahedra``, or ``none`` for a user's mesh
     depth:         octree depth of screened Poisson
@@ -151,7 +152,7 @@ def draft(
         normals: shape (N, 3), unit length; clearly inverted ones are turned over. None: estimated.
         config: method, depth, screening, the kind of surface and the number of faces.
         backend: from ``load_backend``; None: the configured one.
-        source: of the normals: ``seen`` ones have the side of a camera, which is beyond doubt.
+        source: of the normals: ``seen`` ones have the side of a camera, ``trusted`` ones that of a user, beyond doubt.
         frames: of the sequence, all of which tell the shape.
 
     Raises:

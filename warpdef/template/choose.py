@@ -78,7 +78,9 @@ def choose_template(
     attempts = []
     for candidate in candidates:
         if normals[candidate.frame] is not None:
-            attempts.append((candidate, "given"))
+            attempts.append((candidate, "trusted" if config.trust_normals else "given"))
+            if config.trust_normals:
+                continue
         attempts.append((candidate, "estimated" if view is None else "seen"))
     warnings: list[str] = []
     failed: list[ChosenTemplate] = []
@@ -91,7 +93,7 @@ def choose_template(
         if _cost(frame, 0, len(clouds)) >= least:
             continue  # it could not be better
         try:
-            sides = normals[frame] if source == "given" else None
+            sides = normals[frame] if source in ("given", "trusted") else None
             if view is not None and source == "seen":
                 sides = seen_normals(clouds[frame], view, config.template.neighbours)
             chosen = drafts.begin(draft(clouds[frame], sides, config.template, backend, source, filled), candidate)
