@@ -99,7 +99,7 @@ class Matches:
         self.spacing, self._mean_spacing = float(np.median(fellow)), float(fellow.mean())
 
     def far(self, vertices: np.ndarray, spacings: float, noise: float = 0.0) -> float:
-        """Share of vertices (V, 3) farther than so many mean spacings, or so often the noise, from all of the points."""
+        """Share of vertices (V, 3) farther than so many mean spacings, or times the noise, from all of the points."""
         return float(np.mean(self._nearest.query(vertices)[0] > spacings * max(self._mean_spacing, noise)))
 
     def find(
