@@ -7,6 +7,9 @@ three unknowns has its own step: ``fit_rotations`` is the best R for x and y (by
 by singular values); ``rigid_rhs`` is minus half the gradient to x; ``rest_rhs`` is minus half the gradient to y, at
 y = 0, over the number of frames. Where frames show parts, ``trusted_rest_rhs`` takes the mean of each edge over those
 that show it, so that the same L y = b is solved.
+
+Rotations may be tied to those of their neighbours as they were, by tie |R_i - R_j|^2 |y_i - y_j|^2 / 2 more an edge
+(Levi and Gotsman 2015, SR-ARAP): what turns takes its surroundings along, and bending costs.
 """
 
 from __future__ import annotations
@@ -98,16 +101,44 @@ def edges_turned(
     column: wp.array[wp.int32],
     rest: wp.array[wp.vec3],
     vertices: wp.array2d[wp.vec3],
+    tie: float,
+    first_axis: wp.array2d[wp.vec3],
+    second_axis: wp.array2d[wp.vec3],
 ) -> wp.mat33:
-    """What the best rotation of vertex i in frame t is that of: the sum of the edges' outer products."""
+    """What the best rotation of vertex i in frame t is that of: the sum of the edges' outer products, and of the
+    neighbours' rotations as far as they are tied to."""
     s = wp.mat33()
     for e in range(row[i], row[i + 1]):
         j = column[e]
-        s += wp.outer(vertices[t, i] - vertices[t, j], rest[i] - rest[j])
+        edge = rest[i] - rest[j]
+        s += wp.outer(vertices[t, i] - vertices[t, j], edge)
+        if tie > 0.0:
+            a = first_axis[t, j]
+            b = second_axis[t, j]
+            s += (tie * wp.length_sq(edge)) * wp.matrix_from_rows(a, b, wp.cross(a, b))
     return s
 
 
-@sizes("threads: T*V; row: V+1; column: E; rest: V; vertices rotation: T V")
+@sizes("threads: T*V; rotation first_out second_out: T V")
+@wp.kernel
+def _keep_axes(
+    # In:
+    begin: int,
+    rotation: wp.array2d[wp.mat33],
+    # Out:
+    first_out: wp.array2d[wp.vec3],
+    second_out: wp.array2d[wp.vec3],
+):
+    """One thread a vertex of a frame: two rows of its rotation, of which the third is the cross product."""
+    k = begin + wp.tid()
+    t = k // rotation.shape[1]
+    i = k - t * rotation.shape[1]
+    r = rotation[t, i]
+    first_out[t, i] = r[0]
+    second_out[t, i] = r[1]
+
+
+@sizes("threads: T*V; row: V+1; column: E; rest: V; vertices rotation: T V; first_axis second_axis: T V?")
 @wp.kernel
 def _fit_rotations(
     # In:
@@ -116,6 +147,9 @@ def _fit_rotations(
     column: wp.array[wp.int32],
     rest: wp.array[wp.vec3],
     vertices: wp.array2d[wp.vec3],
+    tie: float,
+    first_axis: wp.array2d[wp.vec3],
+    second_axis: wp.array2d[wp.vec3],
     # In and out: from those that are there
     rotation: wp.array2d[wp.mat33],
 ):
@@ -123,7 +157,8 @@ def _fit_rotations(
     k = begin + wp.tid()
     t = k // rest.shape[0]
     i = k - t * rest.shape[0]
-    rotation[t, i] = followed_rotation(edges_turned(t, i, row, column, rest, vertices), rotation[t, i])
+    s = edges_turned(t, i, row, column, rest, vertices, tie, first_axis, second_axis)
+    rotation[t, i] = followed_rotation(s, rotation[t, i])
 
 
 @wp.func_native(following(NEWTON_STEPS, LEAST_CURVATURE, STILL_SQ))
@@ -134,11 +169,14 @@ def follow_rotations(
     column: wp.array[wp.int32],
     rest: wp.array[wp.vec3],
     vertices: wp.array2d[wp.vec3],
+    tie: float,
+    first_axis: wp.array2d[wp.vec3],
+    second_axis: wp.array2d[wp.vec3],
     rotation: wp.array2d[wp.mat33],
 ) -> int: ...
 
 
-@sizes("threads: T*V; row: V+1; column: E; rest: V; vertices rotation: T V")
+@sizes("threads: T*V; row: V+1; column: E; rest: V; vertices rotation: T V; first_axis second_axis: T V?")
 @wp.kernel
 def _fit_rotations_in_lanes(
     # In:
@@ -148,20 +186,24 @@ def _fit_rotations_in_lanes(
     column: wp.array[wp.int32],
     rest: wp.array[wp.vec3],
     vertices: wp.array2d[wp.vec3],
+    tie: float,
+    first_axis: wp.array2d[wp.vec3],
+    second_axis: wp.array2d[wp.vec3],
     # In and out: from those that are there
     rotation: wp.array2d[wp.mat33],
 ):
     """CPU: one thread a run of vertices, counted over all frames."""
     first = begin + LANES_OF_ROTATIONS * wp.tid()
     last = wp.min(first + LANES_OF_ROTATIONS, begin + count)
-    left = follow_rotations(first, last, row, column, rest, vertices, rotation)
+    left = follow_rotations(first, last, row, column, rest, vertices, tie, first_axis, second_axis, rotation)
     lane = int(0)
     while left != 0:
         if left % 2 == 1:
             k = first + lane
             t = k // rest.shape[0]
             i = k - t * rest.shape[0]
-            rotation[t, i] = nearest_rotation(edges_turned(t, i, row, column, rest, vertices))
+            s = edges_turned(t, i, row, column, rest, vertices, tie, first_axis, second_axis)
+            rotation[t, i] = nearest_rotation(s)
         left = left // 2
         lane = lane + 1
 
@@ -249,17 +291,29 @@ def _trusted_rest_rhs(
     rhs_out[i] = total
 
 
+def keep_axes(begin: int, count: int, rotation: wp.array, first_out: wp.array, second_out: wp.array) -> None:
+    """Two rows of ``count`` rotations from ``begin``, counted over all frames; both out (T, V) vec3."""
+    launch(_keep_axes, count, [begin, rotation, first_out, second_out], rotation.device)
+
+
 def fit_rotations(
     begin: int, count: int, row: wp.array, column: wp.array, rest: wp.array, vertices: wp.array,
-    rotation: wp.array,
+    rotation: wp.array, tie: float = 0.0, scratch: tuple[wp.array, wp.array] | None = None,
 ) -> None:  # fmt: skip
     """Best rotation of ``count`` vertices from ``begin``, counted over all frames (frame t owns V of them).
 
     Args:
         row, column: neighbours, as in ``Graph``. rest: shape (V,) vec3. vertices: shape (T, V) vec3.
         rotation: shape (T, V) mat33; where they are near they are followed, and where they are none, found anew.
+        tie: weight that ties a rotation to those of its neighbours, zeros for such as are not known yet. With it a span
+            is of whole frames, and needs
+        scratch: two arrays (T, V) vec3, for the neighbours' rotations as they were.
     """
-    edges, device = [row, column, rest, vertices, rotation], vertices.device
+    device = vertices.device
+    first, second = scratch or (None, None)
+    if scratch is not None:
+        keep_axes(begin, count, rotation, *scratch)
+    edges = [row, column, rest, vertices, tie, first, second, rotation]
     if way_of(device) is Way.SPANS:
         require_span("fit_rotations_in_lanes: threads", begin, count, rotation.size)
         launch(_fit_rotations_in_lanes, -(-count // LANES_OF_ROTATIONS), [begin, count, *edges], device)

@@ -35,6 +35,13 @@ _FOLLOW = """
             const size_t j = 3 * (size_t)column.data[e];
             const four dx = xi - load(x + j), dy = yi - load(y + j);
             a += dy * dx[0]; b += dy * dx[1]; c += dy * dx[2];
+            if (tie > 0.0f) {
+                const float w = tie * (dy[0] * dy[0] + dy[1] * dy[1] + dy[2] * dy[2]);
+                const float* const p = (const float*)first_axis.data + 3 * (size_t)t * count + j;
+                const float* const q = (const float*)second_axis.data + 3 * (size_t)t * count + j;
+                a += w * load(p); b += w * load(q);
+                c += w * four{p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0], 0.0f};
+            }
         }
         for (int k = 0; k < 3; ++k) { sums[k][l] = a[k]; sums[3 + k][l] = b[k]; sums[6 + k][l] = c[k]; }
         for (int k = 0; k < 9; ++k) starts[k][l] = turned[9 * (size_t)(first + l) + k];

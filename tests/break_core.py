@@ -128,6 +128,8 @@ BREAKS = [
           "a guide stops at twice what is left"),
     Break("kernels/edge_lanes.py", "total *= 0.5f / ", "total *= 1.0f / ", ("rigidity",),
           "the shape's half, on the CPU"),
+    Break("kernels/rotation_lanes.py", "const float w = tie *", "const float w = 2.0f * tie *", ("rigidity",),
+          "neighbours tied twice as firmly, on the CPU"),
     Break("kernels/rotation_lanes.py", "const whole still = good & (4.0f * size < STILL);", "const whole still = good;",
           ("rigidity",), "sixteen rotations, after a single step"),
     Break("kernels/block_serial.py", "w + 3 * i, load(q + 3 * i)", "w + 3 * i, load(p + 3 * i)", ("block_cg",),

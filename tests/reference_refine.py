@@ -21,8 +21,15 @@ def nearest_rotation(s: np.ndarray) -> np.ndarray:
     return u @ vt
 
 
-def fit_rotations(x: np.ndarray, y: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def fit_rotations(
+    x: np.ndarray, y: np.ndarray, edges: np.ndarray, tie: float = 0.0, before: np.ndarray | None = None
+) -> np.ndarray:
     s = np.zeros((*x.shape, 3))
+    if before is not None:
+        weight = tie * ((y[edges[:, 0]] - y[edges[:, 1]]) ** 2).sum(axis=1)[:, None, None]
+        for own, other in (edges.T, edges.T[::-1]):
+            for t in range(len(x)):
+                np.add.at(s[t], own, weight * before[t, other])
     outer = np.einsum("tea,eb->teab", x[:, edges[:, 0]] - x[:, edges[:, 1]], y[edges[:, 0]] - y[edges[:, 1]])
     for end in (0, 1):
         for t in range(len(x)):
@@ -212,7 +219,7 @@ def refine_round(x, y, rotation, edges, faces, clouds, normals, c) -> tuple[np.n
         (a, b), (a_asked, b_asked) = met.normal_equations(count), asked.normal_equations(count)
         system = block_matrix(a + a_asked, edges, c.rigidity, c.damping)
         x[t] += np.linalg.solve(system, (b + b_asked + pulled[t]).ravel()).reshape(count, 3)
-    rotation = fit_rotations(x, y, edges)
+    rotation = fit_rotations(x, y, edges, c.rotation_smoothness, rotation)
     s = c.shape_smoothness
     best = np.linalg.solve(np.eye(count) + s * laplacian(edges, count), y + s * rest_rhs(x, rotation, edges))
     return x, y + c.shape_step * (best - y), rotation

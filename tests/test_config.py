@@ -89,6 +89,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "refine.follow": ([-1], [0, 12]),
     "refine.rigidity": POSITIVE,
     "refine.rigidity_noisy": POSITIVE,
+    "refine.rotation_smoothness": FROM_ZERO,
     "refine.clean_thickness": ([0, -1], [0.1, 0.5]),
     "refine.noisy_thickness": ([0.3, 0.1], [0.31, 2]),
     "refine.landmark_weight": POSITIVE,

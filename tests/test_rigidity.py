@@ -35,11 +35,14 @@ class Mesh:
         places = [total if c is None else c for c in cuts]
         return [(a, b - a) for a, b in zip(places[:-1], places[1:], strict=True)]
 
-    def fit(self, x: np.ndarray, y: np.ndarray, cuts=WHOLE, start: np.ndarray | None = None) -> np.ndarray:
+    def fit(
+        self, x: np.ndarray, y: np.ndarray, cuts=WHOLE, start: np.ndarray | None = None, tie: float = 0.0
+    ) -> np.ndarray:
+        scratch = (self.put(np.zeros(x.shape)), self.put(np.zeros(x.shape))) if tie else None
         start = np.full((*x.shape, 3), np.nan) if start is None else start
         moving, rest, out = self.put(x), self.put(y), self.put(start, wp.mat33)
         for begin, count in self.spans(cuts, len(x) * self.count):
-            fit_rotations(begin, count, self.row, self.column, rest, moving, out)
+            fit_rotations(begin, count, self.row, self.column, rest, moving, out, tie, scratch)
         return out.numpy().astype(np.float64)
 
     def rhs(self, x, y, rotation, weight: float = 1.0, start: float = 0.0, cuts=WHOLE) -> np.ndarray:
@@ -134,6 +137,32 @@ def test_rotations_do_not_depend_on_where_they_are_looked_for(mesh: Mesh, state,
     found = mesh.fit(x, y, start=start)
     assert_rotations(found)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("tie", [0.3, 5.0])
+def test_rotations_tied_to_their_neighbours_match_the_twin(mesh: Mesh, state, tie: float) -> None:
+    """To those that the neighbours had before; of zeros, which are none yet, to nothing."""
+    x, y, before = state
+    found, free = mesh.fit(x, y, start=before, tie=tie), twin.fit_rotations(x, y, mesh.edges)
+    assert_rotations(found)
+    np.testing.assert_allclose(found, twin.fit_rotations(x, y, mesh.edges, tie, before), rtol=0, atol=1e-4)
+    assert np.abs(found - free).max() > 0.1
+    np.testing.assert_allclose(mesh.fit(x, y, start=np.zeros(before.shape), tie=tie), free, rtol=0, atol=1e-4)
+
+
+def test_frames_tied_one_after_the_other_give_the_same_bits(mesh: Mesh, state) -> None:
+    x, y, before = state
+    cuts = [0, mesh.count, 2 * mesh.count, None]
+    np.testing.assert_array_equal(mesh.fit(x, y, cuts, before, 1.0), mesh.fit(x, y, start=before, tie=1.0))
+
+
+def test_a_strong_tie_makes_neighbours_turn_together(mesh: Mesh, state) -> None:
+    """Again and again, until all vertices of a frame have one rotation: the best of the whole."""
+    x, y, _ = state
+    turned = mesh.fit(x, y)
+    for _ in range(400):
+        turned = mesh.fit(x, y, start=turned, tie=100.0)
+    assert np.abs(turned - turned[:, :1]).max() < 0.1 < np.abs(mesh.fit(x, y) - mesh.fit(x, y)[:, :1]).max()
 
 
 def test_no_rotation_nearby_is_better(mesh: Mesh, state, rng: np.random.Generator) -> None:

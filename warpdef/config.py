@@ -277,7 +277,7 @@ class OptimiserConfig:
 class RefineConfig:
     """The vertex stage after the grids: Gauss-Newton on every vertex of every frame, and one shape for all frames."""
 
-    iterations: int = 20
+    iterations: int = 32
     """Rounds over all frames and the shape; 0 leaves the stage out, as the paper does."""
     follow: int = 6
     """Rounds for a frame alone, on the way outwards from the keyframe, before the next starts from it."""
@@ -285,6 +285,8 @@ class RefineConfig:
     """Weight of local rigidity against one point-to-plane residual a vertex, for clean clouds."""
     rigidity_noisy: float = 2.0
     """The same for clouds whose local thickness is ``noisy_thickness``; between and beyond, by the logarithm."""
+    rotation_smoothness: float = 1.0
+    """Weight that ties a vertex's rotation to its neighbours': bending costs, and turns spread; 0 for none."""
     clean_thickness: float = 0.3
     """Local thickness over width of a cloud (16 neighbours) up to which it counts as clean."""
     noisy_thickness: float = 0.55
@@ -301,9 +303,9 @@ class RefineConfig:
     """Least cosine between the normals of a pair."""
     shape_smoothness: float = 50.0
     """Stiffness of the common shape's solve: larger lets a round change it over longer distances."""
-    shape_step: float = 1.7
+    shape_step: float = 1.0
     """Step of the common shape towards its optimum in a round; above 1 overshoots, which converges faster."""
-    tolerance: float = 1e-3
+    tolerance: float = 3e-3
     """Residual, relative to the right-hand side, at which a frame's linear solve stops."""
     iterations_max: int = 300
     """Steps after which a frame's linear solve stops all the same."""
@@ -314,6 +316,8 @@ class RefineConfig:
         require(self.iterations >= 0, "refine.iterations", "0 or more", self.iterations)
         require(self.follow >= 0, "refine.follow", "0 or more", self.follow)
         require(self.time >= 0, "refine.time", "a number from 0", self.time)
+        smoothness = self.rotation_smoothness
+        require(smoothness >= 0, "refine.rotation_smoothness", "a number from 0", smoothness)
         for key in (
             "rigidity",
             "rigidity_noisy",

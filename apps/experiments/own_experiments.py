@@ -14,6 +14,7 @@ IDEAS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("vertex stage", {"refine.iterations": 0}),
     ("shared rest shape", {"refine.shape_step": 0.0}),
     ("smoothness in time", {"refine.time": 0.0}),
+    ("neighbours that turn alike", {"refine.rotation_smoothness": 0.0}),
     ("lost limbs found again", {"refine.recover": False}),
     ("stiffness by noise", {"refine.rigidity_noisy": "=refine.rigidity"}),
     ("normal agreement of pairs", {"refine.agreement": -1.0}),

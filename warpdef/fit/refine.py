@@ -224,7 +224,8 @@ class Refinement:
 
     def _fit_rotations(self, first: int, last: int) -> None:
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
-        fit_rotations(begin, count, *self._edges, self.shape.places, self.objective.vertices, self.rotation)
+        tied = self.config.rotation_smoothness, (self._rhs, self._move)  # neither is needed any more
+        fit_rotations(begin, count, *self._edges, self.shape.places, self.objective.vertices, self.rotation, *tied)
 
     def _phases(self, smooth: bool = False) -> list[Phase]:
         frames, runs = self.problem.frame_spans(), self.problem.vertex_spans()
