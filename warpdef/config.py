@@ -277,7 +277,7 @@ class OptimiserConfig:
 class RefineConfig:
     """The vertex stage after the grids: Gauss-Newton on every vertex of every frame, and one shape for all frames."""
 
-    iterations: int = 32
+    iterations: int = 20
     """Rounds over all frames and the shape; 0 leaves the stage out, as the paper does."""
     follow: int = 6
     """Rounds for a frame alone, on the way outwards from the keyframe, before the next starts from it."""
@@ -303,9 +303,9 @@ class RefineConfig:
     """Least cosine between the normals of a pair."""
     shape_smoothness: float = 50.0
     """Stiffness of the common shape's solve: larger lets a round change it over longer distances."""
-    shape_step: float = 1.0
+    shape_step: float = 1.7
     """Step of the common shape towards its optimum in a round; above 1 overshoots, which converges faster."""
-    tolerance: float = 3e-3
+    tolerance: float = 1e-3
     """Residual, relative to the right-hand side, at which a frame's linear solve stops."""
     iterations_max: int = 300
     """Steps after which a frame's linear solve stops all the same."""
