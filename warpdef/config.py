@@ -286,7 +286,9 @@ class RefineConfig:
     rigidity_noisy: float = 2.0
     """The same for clouds whose local thickness is ``noisy_thickness``; between and beyond, by the logarithm."""
     rotation_smoothness: float = 1.0
-    """Weight that ties a vertex's rotation to its neighbours': bending costs, and turns spread; 0 for none."""
+    """Weight that ties a vertex's rotation to its neighbours', so that turns spread; 0 for none.
+
+    Of what one camera saw, and where noise is wider than the spacing, nothing is tied."""
     clean_thickness: float = 0.3
     """Local thickness over width of a cloud (16 neighbours) up to which it counts as clean."""
     noisy_thickness: float = 0.55

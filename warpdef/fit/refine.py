@@ -65,6 +65,8 @@ class Refinement:
         device, shape = p.device, (p.frame_count, p.vertex_count)
         self.noise = noise_of(p.measures.thickness, c)
         self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
+        # What one camera saw is held by the bent template, and points that scatter by patches.
+        self._tie = c.rotation_smoothness if p.scattered is None and not p.seen else 0.0
         self.rotation, self._matrix = (wp.zeros(shape, dtype=wp.mat33, device=device) for _ in range(2))
         borrow = p.pool.borrower()
         self._rhs, self._move, *scratch = (borrow(wp.vec3, shape) for _ in range(4))
@@ -224,8 +226,9 @@ class Refinement:
 
     def _fit_rotations(self, first: int, last: int) -> None:
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
-        tied = self.config.rotation_smoothness, (self._rhs, self._move)  # neither is needed any more
-        fit_rotations(begin, count, *self._edges, self.shape.places, self.objective.vertices, self.rotation, *tied)
+        scratch = (self._rhs, self._move) if self._tie else None  # neither is needed any more
+        moving = self.shape.places, self.objective.vertices, self.rotation
+        fit_rotations(begin, count, *self._edges, *moving, self._tie, scratch)
 
     def _phases(self, smooth: bool = False) -> list[Phase]:
         frames, runs = self.problem.frame_spans(), self.problem.vertex_spans()
