@@ -74,7 +74,7 @@ def component_labels(i: np.ndarray, j: np.ndarray, count: int) -> np.ndarray:
         graph = coo_matrix((np.ones(len(i)), (i, j)), shape=(count, count))
     else:  # rows already, which are not sorted again
         row = np.concatenate([[0], np.cumsum(np.bincount(i, minlength=count))])
-        graph = csr_matrix((np.ones(len(j)), j, row), shape=(count, count))
+        graph = csr_matrix((np.ones(len(j)), np.ascontiguousarray(j), row), shape=(count, count))
     return connected_components(graph, directed=False)[1]
 
 
