@@ -103,7 +103,7 @@ class Refinement:
     def start(self) -> None:
         """Take the vertices as they are: the shape is the keyframe's, normals of doubtful side get the mesh's side."""
         self.shape.take()
-        self._fit_rotations(0, self.problem.frame_count)
+        self._fit_rotations(0, self.problem.frame_count, tied=True)
         self.pairing.choose_sides()
 
     def run_round(self) -> None:
@@ -210,25 +210,26 @@ class Refinement:
         if self.landmarks is not None:
             self.landmarks.hold(first, last, *sums)
         rigid_rhs(begin, count, self.rigidity, *self._edges, self.shape.places, self.rotation, o.vertices, self._rhs)
-        self._solve(first, last)
+        self._solve(first, last, together)
 
     def _smooth_frames(self, first: int, last: int) -> None:
         """Solve for the moves to places that are smooth in time, by the matrix of the pairs just met, and turn."""
         self.smoothness.hold(first, last, self._matrix, self._rhs)
         self._solve(first, last)
 
-    def _solve(self, first: int, last: int) -> None:
-        """Move by what matrix and right-hand side ask for, and turn."""
+    def _solve(self, first: int, last: int, tied: bool = True) -> None:
+        """Move by what matrix and right-hand side ask for, and turn, ``tied`` to the neighbours."""
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
         self._solver.solve(first, last, self.rigidity, self.config.damping, self._matrix, self._rhs, self._move)
         add_scaled(begin, count, 1.0, self._move.flatten(), self.objective.vertices.flatten())
-        self._fit_rotations(first, last)
+        self._fit_rotations(first, last, tied)
 
-    def _fit_rotations(self, first: int, last: int) -> None:
+    def _fit_rotations(self, first: int, last: int, tied: bool = False) -> None:
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
-        scratch = (self._rhs, self._move) if self._tie else None  # neither is needed any more
+        tie = self._tie if tied else 0.0  # a frame alone is not: the gallop's would fold in the groin (CD 0.292)
+        scratch = (self._rhs, self._move) if tie else None  # neither is needed any more
         moving = self.shape.places, self.objective.vertices, self.rotation
-        fit_rotations(begin, count, *self._edges, *moving, self._tie, scratch)
+        fit_rotations(begin, count, *self._edges, *moving, tie, scratch)
 
     def _phases(self, smooth: bool = False) -> list[Phase]:
         frames, runs = self.problem.frame_spans(), self.problem.vertex_spans()
