@@ -159,8 +159,8 @@ class Iteration:
     def _captured(self) -> wp.Graph | None:
         """All phases as one graph, at best of branches; None where the device cannot, which is said: launches then go
         one by one."""
-        why = ""
-        for branched in (True, False):
+        why, wide = "", any(len(phase.tasks) > 1 for phase in self._phases)
+        for branched in (True, False) if wide else (False,):
             try:
                 branches = Branches(self._device, [len(phase.tasks) if branched else 1 for phase in self._phases])
                 with wp.ScopedCapture(device=self._device) as captured:
