@@ -235,9 +235,9 @@ BREAKS = [
     # What has come since: mixtures, patches, neighbourhoods, orders, gaps, chains by halves, branches.
     Break("kernels/mixture.py", "total = float(_NOTHING)", "total = float(0.0)", ("mixture",),
           "a point that belongs to nothing asks for all of it"),
-    Break("kernels/mixture.py", "(share * wp.dot(m, r)) * m)", "share * r)", ("mixture",),
+    Break("kernels/mixture.py", "rhs[i] = sums[1] * m", "rhs[i] = wp.vec3(sums[1])", ("mixture",),
           "noisy points pull along the surface"),
-    Break("kernels/mixture.py", "if d < reach * reach:", "if d < reach:", ("mixture",),
+    Break("kernels/mixture.py", "limit = reach * reach", "limit = reach", ("mixture",),
           "vertices far beyond the noise are asked"),
     Break("kernels/patches.py", "shift_out[t, n] = at - turn * origin", "shift_out[t, n] = at - origin", ("patches",),
           "a patch is shifted as if it did not turn"),
