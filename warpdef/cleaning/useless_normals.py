@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from warpdef.cloud import SPACING_NEIGHBOURS
+from warpdef.geometry.cloud_planes import fit_planes
 from warpdef.sequence import PointSequence, name_frames
 
 SEEN, LEAST = 500, 100  # points of a frame that are looked at, and that it must have
@@ -34,8 +35,7 @@ def are_useless(points: np.ndarray, normals: np.ndarray) -> bool:
     some, beside = normals[index[:, 0]], normals[index[:, 1:]]
     if np.abs(np.einsum("ni,nki->nk", some, beside)).mean() >= AGREES:
         return False
-    near = points[index] - points[index].mean(axis=1, keepdims=True)
-    planes = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))[1][:, :, 0]
+    planes = fit_planes(points, index, np.ones(index.shape))[0]
     return float(np.abs(np.einsum("ni,ni->n", some, planes)).mean()) < AGREES
 
 
