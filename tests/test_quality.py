@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 import pytest
+from judged import assess, frames, names
 from scipy.spatial import cKDTree
 
 from warpdef.geometry.noise import noise_level
 from warpdef.geometry.sampling import sample_surface
 from warpdef.quality import assess as quality
-from warpdef.quality.assess import Assessment
 from warpdef.quality.coverage import measure_coverage
 from warpdef.quality.frame import FrameQuality
 from warpdef.quality.shape import ReferenceShape, neighbouring_faces, opposite_vertices
@@ -57,20 +56,6 @@ def meshes() -> np.ndarray:
 @pytest.fixture
 def clouds(meshes: np.ndarray) -> list[np.ndarray]:
     return [sample_surface(v, FACES, POINTS, np.random.default_rng(t))[0] for t, v in enumerate(meshes)]
-
-
-def assess(*given: Any, **more: Any) -> Any:
-    """As the library's; the frames here have points, so that every measure of theirs is a number."""
-    return quality.assess(*given, **more)
-
-
-def names(assessment: Assessment) -> list[str]:
-    return [verdict.name for verdict in assessment.verdicts]
-
-
-def frames(assessment: Assessment) -> list[Any]:
-    """What was measured; every frame but one without points has all of it."""
-    return list(assessment.frames)
 
 
 def test_frames_side_by_side_are_judged_as_one_after_the_other(meshes, clouds) -> None:

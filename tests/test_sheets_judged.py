@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
+from judged import assess, frames, names
 
 from warpdef.geometry.sampling import sample_surface
-from warpdef.quality import assess as quality
-from warpdef.quality.assess import Assessment
 from warpdef.quality.layers import two_classes
 
 pytest.importorskip("gpytoolbox")
@@ -24,19 +21,6 @@ def waving_sheet() -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
     sheets = np.stack([np.stack([x, y, 0.1 * np.sin(2.0 * x + t)], -1).reshape(-1, 3) for t in range(FRAMES)])
     return sheets, faces, [sample_surface(v, faces, POINTS, np.random.default_rng(t))[0] for t, v in enumerate(sheets)]
-
-
-def assess(*given: Any, **more: Any) -> Any:
-    """As the library's; the frames here have points, so that every measure of theirs is a number."""
-    return quality.assess(*given, **more)
-
-
-def names(assessment: Assessment) -> list[str]:
-    return [verdict.name for verdict in assessment.verdicts]
-
-
-def frames(assessment: Assessment) -> list[Any]:
-    return list(assessment.frames)
 
 
 def test_a_sheet_larger_than_all_that_its_cloud_shows_is_told() -> None:
