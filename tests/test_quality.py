@@ -16,7 +16,7 @@ from warpdef.quality.coverage import measure_coverage
 from warpdef.quality.frame import FrameQuality
 from warpdef.quality.shape import ReferenceShape, neighbouring_faces, opposite_vertices
 from warpdef.quality.temporal import acceleration, flicker
-from warpdef.quality.verdict import BOUNDS, summary
+from warpdef.quality.verdict import BOUNDS, FEWEST, summary
 
 pytest.importorskip("gpytoolbox")
 FRAMES, POINTS, KEYFRAME = 5, 1500, 2
@@ -222,6 +222,24 @@ def test_noise_as_wide_as_the_body_hides_what_is_wrong(meshes, clouds) -> None:
     found = assess(noisy, thin, FACES, KEYFRAME)
     assert names(found) == ["doubtful"] * FRAMES and any("noise" in reason for reason in found.verdicts[0].reasons)
     assert frames(found)[0].blur == pytest.approx(noise / 0.3, rel=0.35)
+
+
+def test_few_points_are_no_noise(meshes, clouds) -> None:
+    """A body bends so much between 60 points that they look like a ball; the surface goes through them all the same."""
+    thin = meshes * [1.0, 0.3, 0.3]
+    sparse = [cloud[: 60 if t == 3 else None] * [1.0, 0.3, 0.3] for t, cloud in enumerate(clouds)]
+    found = assess(sparse, thin, FACES, KEYFRAME)
+    assert names(found) == ["good"] * FRAMES
+    assert frames(found)[3].noise > 0.3 * 0.3 and frames(found)[3].blur < 0.01
+
+
+def test_too_few_points_to_tell(meshes, clouds) -> None:
+    clouds[1], clouds[3] = clouds[1][: FEWEST - 1], clouds[3][:FEWEST]
+    found = assess(clouds, meshes, FACES, KEYFRAME)
+    assert names(found) == ["good", "doubtful", "good", "good", "good"]
+    assert found.warnings() == ["the mesh is doubtful in frame 1: 49 points are too few to tell"]
+    meshes[1] += [0.0, 0.0, 3.0]
+    assert names(assess(clouds, meshes, FACES, KEYFRAME))[1] == "lost"  # what they do tell stands
 
 
 def test_a_frame_without_points_is_doubtful(meshes, clouds) -> None:

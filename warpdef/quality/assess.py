@@ -32,6 +32,7 @@ SIDE_BY_SIDE = 8
 """Frames at most that are looked at at the same time: each takes some tens of megabytes meanwhile."""
 LAYERS = ("inner", "doubled", "layered", "blur", "exposed", "spanning", "merged") + ("overhang", "surplus", "outgrown")
 """Measures of where surface lies beside that of others, or where none is: fields of ``FrameQuality``."""
+_DEVIATION = np.sqrt(0.5 * np.pi)  # standard deviation of a normal distribution over the mean of its absolute values
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def assess(
             of_vertices = doubled_vertices(coverage, placed, reference.vertices, faces)
             for which, found in zip(("doubled", "layered"), of_vertices, strict=True):
                 layers[which] = coverage.share(found[faces].mean(axis=1))
-            layers["blur"] = None if reference.thin is None else coverage.noise / reference.thin
+            layers["blur"] = None if reference.thin is None else _noise_around(coverage) / reference.thin
         quality = _frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm))
         return quality, coverage, change.stretch
 
@@ -152,6 +153,12 @@ def assess(
                 frames[t] = replace(frames[t], surplus=surplus_share(coverage, complete), outgrown=outgrown[t])
     confidence = vertex_confidence(coverages, stretches, reference.edges, faces, vertices.shape[1])
     return Assessment(frames, [judge(frame) for frame in frames], confidence)
+
+
+def _noise_around(coverage: Coverage) -> float:
+    """Noise that the surface bears out. Of sparse points what the body bends between them passes for noise, but a
+    surface fitted through them goes where they go: noise wide enough to hide limbs is as wide around the surface."""
+    return min(coverage.noise, float(_DEVIATION * coverage.residual.mean()))
 
 
 def _frame(

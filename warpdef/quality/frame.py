@@ -15,7 +15,8 @@ class FrameQuality:
     noise:        standard deviation of the points across the surface; never far below a third of the spacing
     residual_mean, residual_p95: exact distances of the points to the surface
     residual_mean_percent, residual_p95_percent: the same in percent of the shape's longest side
-    blur:         noise over the thickness of the shape's thin parts (lower quartile); None where it is open
+    blur:         noise that the surface bears out, over the thickness of the shape's thin parts (lower quartile); None
+                  where it is open
     misfit:       mean residual over the larger of spacing and noise
     uncovered:    share of the points that the surface does not reach
     far:          share of the surface far from every point; on a partial scan that is no fault
