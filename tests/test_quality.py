@@ -16,7 +16,7 @@ from warpdef.quality.coverage import measure_coverage
 from warpdef.quality.frame import FrameQuality
 from warpdef.quality.shape import ReferenceShape, neighbouring_faces, opposite_vertices
 from warpdef.quality.temporal import acceleration, flicker
-from warpdef.quality.verdict import BOUNDS, FEWEST, summary
+from warpdef.quality.verdict import BOUNDS, FEWEST_POINTS, summary
 
 pytest.importorskip("gpytoolbox")
 FRAMES, POINTS, KEYFRAME = 5, 1500, 2
@@ -234,7 +234,7 @@ def test_few_points_are_no_noise(meshes, clouds) -> None:
 
 
 def test_too_few_points_to_tell(meshes, clouds) -> None:
-    clouds[1], clouds[3] = clouds[1][: FEWEST - 1], clouds[3][:FEWEST]
+    clouds[1], clouds[3] = clouds[1][: FEWEST_POINTS - 1], clouds[3][:FEWEST_POINTS]
     found = assess(clouds, meshes, FACES, KEYFRAME)
     assert names(found) == ["good", "doubtful", "good", "good", "good"]
     assert found.warnings() == ["the mesh is doubtful in frame 1: 49 points are too few to tell"]

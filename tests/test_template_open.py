@@ -12,6 +12,7 @@ from warpdef.geometry.borders import border_points
 from warpdef.geometry.coverage import objects_of, point_areas
 from warpdef.template import build as building
 from warpdef.template.cut import cut_at_zero
+from warpdef.template.quality import judge
 from warpdef.template.support import Support
 from warpdef.template.trim import find_trimming
 
@@ -158,3 +159,16 @@ def test_objects_are_clusters_with_enough_points(rng):
     assert (labels[:300] == 1).all() and (labels[300:1800] == 0).all() and (labels[1800:] == -1).all()
     assert (objects_of(large) == 0).all()
     assert objects_of(rng.normal(size=(12, 3))).max() == 0
+
+
+@pytest.mark.parametrize(("height", "axis"), [(0.0, 2), (1e-3, 1), (0.02, 0)])
+def test_a_flat_cloud_makes_a_sheet(rng, height, axis):
+    """Flat to the last bit, or within a cell of the lattice, in whose own plane contours would tear."""
+    points = np.insert(rng.uniform(-1, 1, (800, 2)), axis, 0.0, axis=1)
+    points[:, axis] = height * np.sin(3.0 * points[:, axis - 1])
+    made = building.build(points, None, SMALL)
+    gate = judge(made.mesh, points, SMALL, 0, made.report.surface == "open")
+    assert gate.passed and (gate.loops, gate.components, gate.handles) == (1, 1, 0)
+    assert triangles.face_areas(made.mesh.vertices, made.mesh.faces).sum() == pytest.approx(4.0, rel=0.06)
+    assert np.abs(made.mesh.vertices[:, axis]).max() < height + 0.1 * np.sqrt(4.0 / 800)
+    assert building.sheet_note(made.report) == "; the mesh is an open sheet"

@@ -33,7 +33,7 @@ class Bound:
 
 
 _NEVER = float("inf")
-FEWEST = 50
+FEWEST_POINTS = 50
 """Points of a frame below which nothing tells a right mesh from a wrong one: some 50 lie a seventh of a body apart, and
 one of them is 2 % of all."""
 INNER_WALL = 0.01
@@ -175,12 +175,12 @@ class Verdict:
 
 def judge(frame: FrameQuality) -> Verdict:
     """The worst that any measure says; a frame without points is doubtful, as its mesh is a guess, and so is one of
-    fewer than ``FEWEST``."""
+    fewer than ``FEWEST_POINTS``."""
     if not frame.points:
         return Verdict(DOUBTFUL, ("no usable points: interpolated",))
     found = []
-    if frame.points < FEWEST:
-        found.append((False, FEWEST / frame.points, f"{frame.points} points are too few to tell"))
+    if frame.points < FEWEST_POINTS:
+        found.append((False, FEWEST_POINTS / frame.points, f"{frame.points} points are too few to tell"))
     for bound in BOUNDS:
         value = getattr(frame, bound.measure)
         if value is not None and value > bound.doubtful:

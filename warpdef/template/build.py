@@ -24,6 +24,10 @@ from warpdef.template.trim import crop, find_trimming
 
 FLIPPED_WARN = 0.005  # share of given normals; below, it may be the estimate that errs
 SHEET_TOLD = 0.25  # area beyond the border, over what is kept, from which a mesh is called a sheet
+CUBE_SIDE = 2.2  # of the lattice around points that fill [-1, 1]^3
+FLAT_CELLS = 2.0  # of the lattice, thickness of a cloud below which ...
+ASKEW = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0  # ... it is turned by this
+BARE_SHEET = 4.0  # and from which there is no body that it might be the front of
 LEFT_OUT_WARN = 0.02  # share of the surface in components that were dropped
 
 
@@ -66,6 +70,8 @@ def sheet_note(report: TemplateReport) -> str:
     """What to add to the reason for a keyframe, where its mesh is far from a whole body; else nothing."""
     if report.surface != "open" or report.trimmed < SHEET_TOLD:
         return ""
+    if report.trimmed > BARE_SHEET:
+        return "; the mesh is an open sheet"
     return f"; the mesh is a sheet of what is seen there: closed, it would have {report.trimmed:.0%} more surface"
 
 
@@ -175,11 +181,14 @@ def draft(
     scale = float((points.max(axis=0) - points.min(axis=0)).max()) / 2
     unit_points = (points - centre) / scale
     depth = config.depth or depth_by_spacing(unit_points)
+    # Flatter than two cells it would lie in the lattice's own plane, where contours tear: it is put askew.
+    turn = ASKEW if np.ptp(unit_points, axis=0).min() < FLAT_CELLS * CUBE_SIDE / 2**depth else np.eye(3)
+    placed = unit_points @ turn, normals @ turn
     if config.method == "tetrahedra":
-        vertices, faces = fit_surface(unit_points, normals, 2.2 / 2**config.depth if config.depth else 0.0)
+        vertices, faces = fit_surface(*placed, CUBE_SIDE / 2**config.depth if config.depth else 0.0)
     else:
-        vertices, faces = backend.poisson(unit_points, normals, depth, config.screening)
-    vertices, faces = triangles.compact(vertices, faces)
+        vertices, faces = backend.poisson(*placed, depth, config.screening)
+    vertices, faces = triangles.compact(vertices @ turn.T, faces)
     if len(faces) < 4:
         raise InputError(
             f"the reconstruction ({config.method}) made {len(faces)} faces from {len(points)} points; "
