@@ -16,6 +16,7 @@ from cyclopts import App
 from warpdef import __version__
 from warpdef.apps.exit_codes import EXIT_ERROR, EXIT_OK
 from warpdef.apps.help_pages import ALL, COMMON, EXAMPLES, HELP, CommonFlags, asks_for_help
+from warpdef.apps.imports import one_thread_each
 from warpdef.apps.signals import Ended, ending_signals, exit_code
 from warpdef.apps.streams import guarded_streams, open_missing_descriptors
 from warpdef.errors import WarpdefError
@@ -125,6 +126,7 @@ def _say(text: str) -> None:
 
 def main() -> None:
     """Entry point of the ``warpdef`` console script."""
+    one_thread_each()
     sys.exit(run())
 
 

@@ -56,7 +56,8 @@ def reconstruct(
         sequence: the clouds; arrays of shape (T, N, 3) or a list of (N_t, 3) are taken as points without normals.
         config: every number of the method; the default preset if not given.
         device: ``auto``, ``cpu`` or ``cuda:N``.
-        threads: CPU threads; all cores of this process if not given. The result does not depend on it.
+        threads: CPU threads; all cores of this process if not given. The result does not depend on it. BLAS has its
+            own, of no use here: ``OPENBLAS_NUM_THREADS=1`` before NumPy is imported, as the command does, saves them.
         template: a mesh of your own for the keyframe, input units, its vertex order kept; if not given, the file
             ``config.template.mesh``; if that is empty, a mesh is reconstructed.
         callback: called with a ``Progress`` now and then. Ctrl-C during the optimisation ends it early: the best
