@@ -9,6 +9,7 @@ from rich.table import Table
 
 from warpdef.apps.console import print_table
 from warpdef.apps.metric_tables import MetricColumn
+from warpdef.apps.run_summary import told_motions
 from warpdef.quality.verdict import summary
 
 MEASURES = (
@@ -27,7 +28,8 @@ MEASURES = (
 
 
 def print_quality(assessed: Mapping[str, Any], title: str) -> None:
-    """One line a frame with its verdict, why the frames are not good, and how many there are of each.
+    """One line a frame with its verdict, why the frames are not good, what motions nothing shows, and how many frames
+    there are of each verdict.
 
     Args:
         assessed: ``Assessment.as_dict()``.
@@ -43,4 +45,6 @@ def print_quality(assessed: Mapping[str, Any], title: str) -> None:
     for values, verdict in zip(assessed["quality"], assessed["verdicts"], strict=True):
         if values["reasons"]:
             print(f"frame {values['frame']} is {verdict}: {'; '.join(values['reasons'])}")
+    if note := told_motions(assessed):
+        print(note)
     print(summary(assessed["verdicts"]))

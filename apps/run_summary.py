@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from warpdef.apps.console import key_value_table, print_table
 from warpdef.quality.verdict import summary
@@ -33,8 +33,17 @@ def summary_rows(result: Reconstruction, path: Path) -> dict[str, str]:
     }
     for number, warning in enumerate(report["warnings"]):
         rows[f"warning {number + 1}"] = str(warning)
+    if note := told_motions(report):
+        rows["note"] = note
     return {**rows, "result": str(path)}
 
 
 def _pairs(values: Mapping[str, float], form: str) -> str:
     return ", ".join(f"{name} {form.format(value)}" for name, value in values.items())
+
+
+def told_motions(report: Mapping[str, Any]) -> str:
+    """One line on motions of the body that its points do not show; empty if there are none."""
+    from warpdef.quality.slippage import Slippable, slip_note  # not before a command runs
+
+    return slip_note([Slippable(**motion) for motion in report.get("slippable", ())])

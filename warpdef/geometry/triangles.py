@@ -119,6 +119,13 @@ def boundary_edges(faces: np.ndarray) -> np.ndarray:
     return np.stack(np.divmod(unique[count == 1], vertex_count), axis=1).astype(faces.dtype)
 
 
+def border_sides(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges of exactly one face, as it passes them: the face, and the vertices from and to which, shape (B,) each."""
+    _, first, count = np.unique(_edge_keys(faces)[0], return_index=True, return_counts=True)
+    face, corner = np.divmod(first[count == 1], 3)
+    return face, faces[face, corner], faces[face, (corner + 1) % 3]
+
+
 def boundary_loops(faces: np.ndarray) -> int:
     """Number of closed curves that the boundary consists of; loops that share a vertex count as one."""
     edges = boundary_edges(faces)

@@ -11,6 +11,7 @@ import numpy as np
 
 from warpdef.cloud import FramePoints, draw_points
 from warpdef.geometry.closest import load_closest
+from warpdef.geometry.triangles import is_watertight
 from warpdef.quality.confidence import vertex_confidence
 from warpdef.quality.coverage import Coverage, doubled_vertices, measure_coverage
 from warpdef.quality.enclosed import inner_share
@@ -19,6 +20,7 @@ from warpdef.quality.frame import FrameQuality
 from warpdef.quality.layers import merged_share
 from warpdef.quality.overhang import outgrown_shares, overhang_share, surplus_share
 from warpdef.quality.shape import ReferenceShape, ShapeChange
+from warpdef.quality.slippage import Slippable, slippable_motions
 from warpdef.quality.temporal import acceleration, flicker
 from warpdef.quality.verdict import DOUBTFUL, INNER_WALL, LOST, Verdict, judge
 from warpdef.sequence import name_frames
@@ -42,20 +44,24 @@ class Assessment:
     frames:     what was measured
     verdicts:   what follows from it
     confidence: how far each vertex of each frame can be trusted, from 0 to 255   (T, V) uint8
+    slippable:  motions of the body that its points do not show
     """
 
     frames: list[FrameQuality]
     verdicts: list[Verdict]
     confidence: np.ndarray
+    slippable: list[Slippable]
 
     def as_dict(self) -> dict[str, Any]:
-        """``verdicts`` (T of ``good``, ``doubtful``, ``lost``) and ``quality`` (a mapping a frame), for reports.
+        """``verdicts`` (T of ``good``, ``doubtful``, ``lost``), ``quality`` (a mapping a frame) and ``slippable`` (a
+        mapping a motion), for reports.
 
         Numbers have the four digits that they are good for.
         """
         pairs = zip(self.frames, self.verdicts, strict=True)
         quality = [{**_rounded(asdict(frame)), "reasons": list(verdict.reasons)} for frame, verdict in pairs]
-        return {"verdicts": [verdict.name for verdict in self.verdicts], "quality": quality}
+        motions = [motion.as_dict() for motion in self.slippable]
+        return {"verdicts": [verdict.name for verdict in self.verdicts], "quality": quality, "slippable": motions}
 
     def warnings(self) -> list[str]:
         """A line for the lost frames and one for the doubtful ones: their numbers, and the worst reason.
@@ -152,7 +158,10 @@ def assess(
             if coverage is not None:
                 frames[t] = replace(frames[t], surplus=surplus_share(coverage, complete), outgrown=outgrown[t])
     confidence = vertex_confidence(coverages, stretches, reference.edges, faces, vertices.shape[1])
-    return Assessment(frames, [judge(frame) for frame in frames], confidence)
+    # Where one camera saw a part, that part's border is not the body's.
+    whole = eye is None or is_watertight(faces)
+    slippable = slippable_motions(vertices[keyframe], faces) if whole else []
+    return Assessment(frames, [judge(frame) for frame in frames], confidence, slippable)
 
 
 def _noise_around(coverage: Coverage) -> float:
