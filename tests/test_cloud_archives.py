@@ -66,6 +66,8 @@ def test_another_name_is_told(tmp_path):
         (POINTS.transpose(2, 0, 1), r"got \(3, 4, 20\); transpose it: points.transpose\(1, 2, 0\)"),
         (POINTS.transpose(1, 0, 2), r"got \(20, 4, 3\); transpose it: points.transpose\(1, 0, 2\)"),
         (POINTS[0], r"expected shape \(T, N, 3\), got \(20, 3\); that is one cloud"),
+        (POINTS.reshape(4, 5, 4, 3), r"got \(4, 5, 4, 3\); .*points.reshape\(len\(points\), -1, 3\)"),
+        (BOTH[..., :4], r"got \(4, 20, 4\); leave out what is no coordinate"),
         (np.concatenate([POINTS, POINTS * 0 + 2000.5], axis=2), "expected normals or colours in columns 4 to 6"),
     ],
 )
@@ -73,6 +75,41 @@ def test_another_shape_says_what_to_do(tmp_path, points, message):
     np.savez(tmp_path / "a.npz", points=points)
     with pytest.raises(InputError, match=message):
         read_clouds(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (POINTS[0].T, r"got \(3, 20\); transpose it: points.T"),
+        (POINTS[0].reshape(4, 5, 3), r"got \(4, 5, 3\); an image of points becomes a list by points.reshape\(-1, 3\)"),
+        (np.random.default_rng(0).random((48, 64)), "at most 16 columns without names .*got 64: a depth image"),
+    ],
+)
+def test_a_frame_of_another_shape_says_what_to_do(tmp_path, table, message):
+    for t in range(3):
+        np.save(tmp_path / f"{t}.npy", table)
+    with pytest.raises(InputError, match=message):
+        read_clouds(tmp_path)
+
+
+def test_a_wide_table_is_read_where_people_say_what_it_holds(tmp_path):
+    for t in range(3):
+        np.save(tmp_path / f"{t}.npy", np.concatenate([POINTS[t], np.zeros((20, 30))], axis=1))
+    np.testing.assert_array_equal(read_clouds(tmp_path, columns="x,y,z").points, POINTS[:3])
+
+
+def test_numbers_of_arrays_are_time(tmp_path):
+    np.savez(tmp_path / "a.npz", **{f"points_{n}": p for n, p in zip((12, 9, 8, 10), POINTS, strict=True)})
+    sequence = read_clouds(tmp_path / "a.npz")
+    np.testing.assert_array_equal(np.stack(sequence.points), POINTS[[2, 1, 3, 0]])
+    assert [gap.number for gap in sequence.gaps] == [3]
+    assert "number 11 is missing between points_10 and points_12" in sequence.warnings[0]
+    np.savez(tmp_path / "b.npz", **{f"points_{n}": p for n, p in zip((0, 1, 2, 50), POINTS, strict=True)})
+    uneven = read_clouds(tmp_path / "b.npz")
+    assert uneven.times == (0.0, 1.0, 2.0, 50.0) and "uneven, from 2 to 50 at once" in uneven.warnings[0]
+    np.savez(tmp_path / "c.npz", points_1=POINTS[0], points_01=POINTS[1], points_2=POINTS[2])
+    with pytest.raises(InputError, match="have the number 1: 'points_1' and 'points_01'; keep one of them"):
+        read_clouds(tmp_path / "c.npz")
 
 
 def test_two_arrays_that_could_be_meant_are_not_guessed(tmp_path):

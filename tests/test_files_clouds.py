@@ -230,6 +230,11 @@ def unknown_suffix(p: Path) -> Path:
     return p / "a.docx"
 
 
+def written(path: Path, data: bytes) -> Path:
+    path.write_bytes(data)
+    return path
+
+
 def npz_of(**arrays: Any):
     def make(p: Path) -> Path:
         made: dict[str, Any] = {key: value() if callable(value) else value for key, value in arrays.items()}
@@ -258,6 +263,9 @@ BAD_SEQUENCES = [
     (other_suffixes, r"\.npy \.pcd .* \.npz\), got other suffixes \(\.docx\)"),
     (single_file, "got one file; give the folder"),
     (unknown_suffix, r"unknown suffix '\.docx'; expected an \.npz, or a folder .*\.xyz"),
+    (lambda p: written(p / "a.zip", b"PK"), r"unknown suffix '\.zip'; .*; unpack it"),
+    (lambda p: written(p / "0.png", b"\x89PNG").parent, r"got other suffixes \(\.png\); images are no points"),
+    (lambda p: written(p / "a.npz", b"version https://git-lfs.github.com/spec/v1\n"), "a pointer of Git LFS"),
     (npz_of(points=ragged), "got objects.*could run code.*np.savez"),
     (npz_of(points=np.zeros((N, 3))), r"expected shape \(T, N, 3\), got \(12, 3\)"),
     (npz_of(points=FRAMES[:1]), "expected at least 2 frames, got 1"),

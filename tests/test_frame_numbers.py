@@ -98,6 +98,25 @@ def test_the_same_number_twice_is_refused(tmp_path):
         read_clouds(save(tmp_path, "0", "1", "01", "2"))
 
 
+@pytest.mark.parametrize(
+    "names", [["f_-2", "f_-1", "f_0", "f_1"], ["-1", "0", "1"], ["a -10 b", "a -9 b", "a 2 b"], ["x-1", "x-2", "x-3"]]
+)
+def test_a_minus_is_a_sign_where_others_have_none(names):
+    found = read_names(names[::-1])
+    assert [names[::-1][i] for i in found.order] == names and found.notes[1:] == ()
+
+
+def test_a_minus_before_all_numbers_is_told(tmp_path):
+    sequence = read_clouds(save(tmp_path, "f_-1", "f_-2", "f_-3"))
+    np.testing.assert_array_equal(np.stack(sequence.points), CLOUDS[:3])
+    assert "taken for a dash: 'f_-1' is the first" in sequence.warnings[0]
+
+
+def test_negative_numbers_are_one_series(tmp_path):
+    sequence = read_clouds(save(tmp_path, "-2", "-1", "1", "2"))
+    assert sequence.frame_names[2] == "missing number 0" and len(sequence) == 4
+
+
 def test_a_missing_number_is_a_gap_with_its_name(tmp_path):
     sequence = read_clouds(save(tmp_path, "scan_000", "scan_001", "scan_002", "scan_004", "scan_005"))
     assert sequence.frame_count == 6 and [gap.number for gap in sequence.gaps] == [3]

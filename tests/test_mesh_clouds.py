@@ -115,11 +115,16 @@ def test_e57(tmp_path):
     pye57 = pytest.importorskip("pye57")
     path = tmp_path / "0.e57"
     file = pye57.E57(str(path), mode="w")
-    for part in (SPHERE[:1000], SPHERE[1000:]):
-        file.write_scan_raw({f"cartesian{a}": np.ascontiguousarray(part[:, i]) for i, a in enumerate("XYZ")})
+    shades = np.arange(3 * len(SPHERE)).reshape(-1, 3).astype(np.uint8)
+    for part in (slice(None, 1000), slice(1000, None)):
+        scan = {f"cartesian{a}": np.ascontiguousarray(SPHERE[part, i]) for i, a in enumerate("XYZ")}
+        scan |= {f"color{c}": np.ascontiguousarray(shades[part, i]) for i, c in enumerate(("Red", "Green", "Blue"))}
+        file.write_scan_raw(scan | {"intensity": np.ones(len(SPHERE[part]), dtype=np.float32)})
     file.close()
-    points = read_surface(path, CLOUD_SUFFIXES).points
-    np.testing.assert_allclose(points, SPHERE, atol=1e-9)
+    surface = read_surface(path, CLOUD_SUFFIXES)
+    np.testing.assert_allclose(surface.points, SPHERE, atol=1e-9)
+    np.testing.assert_array_equal(surface.colors, shades)
+    assert surface.passed == ("intensity",)
     data = bytearray(path.read_bytes())
     for at in (10, 60, len(data) // 2):
         data[at] ^= 0xFF

@@ -108,6 +108,12 @@ def test_decimal_commas_are_read(tmp_path, between):
     assert_points(read(tmp_path, comma(rows(POINTS, NORMALS, between=between))), normals=True)
 
 
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_quotes_around_fields(tmp_path, decimal):
+    lines = [",".join(f'"{v!r}"'.replace(".", decimal) for v in row.tolist()) for row in POINTS]
+    assert_points(read(tmp_path, "\n".join(['"x","y","z"', *lines]) + "\n", "a.csv"))
+
+
 def test_decimal_commas_between_commas_are_refused_by_name(tmp_path):
     text = "".join(",".join(f"{v:.4f}".replace(".", ",") for v in row) + "\n" for row in POINTS)
     with pytest.raises(InputError, match="commas stand between the columns and, it seems, before the decimals"):

@@ -3,7 +3,8 @@
 - ``points`` (T, N, 3), optional ``normals`` (T, N, 3) and ``colors`` (T, N, 3) or, for all frames, (N, 3); or
   (T, N, 6) with normals or colours behind;
 - frames of unequal length: ``points_0000`` (N_0, 3), ``points_0001`` (N_1, 3), ..., each with optional
-  ``normals_0000``, ``colors_0000``, ...: ``np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})``;
+  ``normals_0000``, ``colors_0000``, ...: ``np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})``,
+  where a number that is missing is a frame that is missing;
 - the same under another name, ``arr_0`` of ``np.savez(path, clouds)`` for one, where nothing else could be meant.
 """
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -19,14 +21,33 @@ import numpy as np
 from warpdef.cloud import MIN_POINTS, FramePoints
 from warpdef.errors import InputError
 from warpdef.files.columns import guess_roles, surface_of
-from warpdef.files.frame_files import select_frames
-from warpdef.files.frame_numbers import natural_key
+from warpdef.files.frame_files import FrameFiles, FrameSlot, select_frames
+from warpdef.files.frame_numbers import read_names
 from warpdef.files.numpy_files import Npz, npy_array, row
 from warpdef.files.surface import Surface
 from warpdef.sequence import MIN_FRAMES
 
 NamedFrame = tuple[str, Callable[[], FramePoints]]
 """What a frame is called, and a function that reads it."""
+
+
+@dataclass(frozen=True)
+class NamedFrames:
+    """The frames chosen of a file or folder, in the order of time.
+
+    frames: name and reader of each. notes: warnings.
+    times:  of the frames, in usual steps from the first, where steps are uneven; else empty
+    """
+
+    frames: list[NamedFrame]
+    notes: list[str]
+    times: tuple[float, ...] = ()
+
+
+def times_of(slots: Sequence[FrameSlot]) -> tuple[float, ...]:
+    """Times of slots from the first, in usual steps; empty where steps are even."""
+    return tuple(abs(slot.time - (slots[0].time or 0.0)) for slot in slots if slot.time is not None)
+
 
 COLOR_NAMES = ("colors", "colours", "color", "colour", "rgb", "rgba", "vertex_colors")
 """What colours are called; of frames of their own with the frame's number behind."""
@@ -35,8 +56,8 @@ _POINTS_OF_A_FRAME = re.compile("points_[0-9]+")
 _UNEQUAL = 'np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})'
 
 
-def read_npz_frames(path: Path, frames: slice | None) -> tuple[list[NamedFrame], list[str]]:
-    """Name and reader of each frame chosen of an .npz, and notes.
+def read_npz_frames(path: Path, frames: slice | None) -> NamedFrames:
+    """The frames chosen of an .npz.
 
     Raises:
         InputError: no layout of this module, or fewer than 2 frames.
@@ -45,26 +66,32 @@ def read_npz_frames(path: Path, frames: slice | None) -> tuple[list[NamedFrame],
     name, notes = _stack_name(npz)
     if name:
         passed = [n for n in npz.names if n not in {name, *_KNOWN} and npz.header(n)[0][:2] == npz.header(name)[0][:2]]
-        return _stacked_frames(npz, name, frames), notes + ([left_behind(passed)] if passed else [])
+        return NamedFrames(_stacked_frames(npz, name, frames), notes + ([left_behind(passed)] if passed else []))
     numbered = _numbered_names(npz)
     if not numbered:
         meshes = "; it holds meshes: sample them first with `warpdef sample`" if "vertices" in npz else ""
         found = ", ".join(npz.names[:8]) or "no arrays"
+        meshes = meshes or f"; call that of all frames 'points', or save unequal frames with {_UNEQUAL}"
         raise InputError(f"{npz.path}: expected an array 'points' (T, N, 3), got {found:.200}{meshes}")
 
-    def read(name: str) -> FramePoints:
+    def read(slot: FrameSlot) -> FramePoints:
+        name = slot.file().as_posix()
         cloud = _columns(npz.array(name), f"{name} of {npz.path.name}")
         stem, number = re.split("(?=[0-9]+$)", name, maxsplit=1)
         normals = _first_of(npz, [f"normals_{number}"])
         colors = _first_of(npz, [f"{c}_{number}" for c in COLOR_NAMES])
         return _with(cloud, normals, colors if stem == "points_" else None)
 
-    chosen = select_frames(numbered, frames, MIN_FRAMES, npz.path)
-    return [(f"{name} of {npz.path.name}", partial(read, name)) for name in chosen], _called(numbered[0])
+    numbering = read_names(numbered, str(npz.path))
+    # As files of a folder are: a number that is missing is a frame that is missing.
+    slots = FrameFiles([Path(numbered[i]) for i in numbering.order], [], numbering).slots
+    chosen = select_frames(slots, frames, MIN_FRAMES, npz.path)
+    named = [(f"{slot.name} of {npz.path.name}", partial(read, slot)) for slot in chosen]
+    return NamedFrames(named, [*_called(numbered[0]), *numbering.notes], times_of(chosen))
 
 
-def read_npy_frames(path: Path, frames: slice | None) -> tuple[list[NamedFrame], list[str]]:
-    """Name and reader of each frame chosen of an .npy of shape (T, N, 3) or (T, N, 6), and notes.
+def read_npy_frames(path: Path, frames: slice | None) -> NamedFrames:
+    """The frames chosen of an .npy of shape (T, N, 3) or (T, N, 6).
 
     Raises:
         InputError: another shape, or fewer than 2 frames.
@@ -75,7 +102,8 @@ def read_npy_frames(path: Path, frames: slice | None) -> tuple[list[NamedFrame],
     _require_stack(points.shape, str(path))
     chosen = select_frames(range(len(points)), frames, MIN_FRAMES, path)
     name = path.name
-    return [(f"[{t}] of {name}", lambda t=t: _columns(row(points, t), f"[{t}] of {name}")) for t in chosen], []
+    read = [(f"[{t}] of {name}", lambda t=t: _columns(row(points, t), f"[{t}] of {name}")) for t in chosen]
+    return NamedFrames(read, [])
 
 
 def read_npz_points(path: Path) -> Surface:
@@ -101,11 +129,11 @@ def read_npz_points(path: Path) -> Surface:
     return Surface(cloud.points.astype(np.float64), cloud.normals, colors=cloud.colors, passed=tuple(passed))
 
 
-CONTAINERS: dict[str, Callable[[Path, slice | None], tuple[list[NamedFrame], list[str]]]] = {
+CONTAINERS: dict[str, Callable[[Path, slice | None], NamedFrames]] = {
     ".npz": read_npz_frames,
     ".npy": read_npy_frames,
 }
-"""Files that hold all frames of a sequence, by suffix: a function that gives name and reader of each frame chosen."""
+"""Files that hold all frames of a sequence, by suffix: a function that gives the frames chosen."""
 
 
 def _stack_name(npz: Npz) -> tuple[str, list[str]]:
@@ -130,7 +158,7 @@ def _numbered_names(npz: Npz) -> list[str]:
         names = [n for n in npz.names if re.fullmatch(r"[^0-9]*[0-9]+", n) and "normal" not in n.lower()]
         names = [n for n in names if len(s := npz.header(n)[0]) == 2 and s[1] in (3, 6)]
         numbered = names if len({re.sub("[0-9]+", "", n) for n in names}) == 1 and len(names) > 1 else []
-    return sorted(numbered, key=natural_key)
+    return numbered
 
 
 def _stacked_frames(npz: Npz, name: str, frames: slice | None) -> list[NamedFrame]:
@@ -154,7 +182,8 @@ def _stacked_frames(npz: Npz, name: str, frames: slice | None) -> list[NamedFram
         )
     if normals is not None and normals.shape != (*shape[:2], 3):
         raise InputError(
-            f"{npz.path}: normals: expected shape {(*shape[:2], 3)} as the points have, got {normals.shape}"
+            f"{npz.path}: normals: expected shape {(*shape[:2], 3)} as the points have, got {normals.shape}; give one "
+            "normal a point, or none"
         )
 
     def read(t: int) -> FramePoints:
@@ -198,6 +227,10 @@ def _require_stack(shape: Sequence[int], where: str) -> None:
     elif turned and shape[0] == 3:
         order = (1, 2, 0)
     what = f"transpose it: points.transpose{order}" if turned else f"save unequal frames with {_UNEQUAL}"
+    if len(shape) == 4 and shape[3] in (3, 6):
+        what = "that is an image of points a frame: make a list of it, points.reshape(len(points), -1, 3)"
+    if len(shape) == 3 and shape[2] in (4, 5):
+        what = "leave out what is no coordinate: points[..., :3]"
     if len(shape) == 2 and shape[1] in (3, 6):
         what = f"that is one cloud: stack the frames along a new first axis, or {what}"
     raise InputError(f"{where}: expected shape (T, N, 3), got {tuple(shape)}; {what}")

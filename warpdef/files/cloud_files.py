@@ -11,11 +11,11 @@ import numpy as np
 
 from warpdef.cloud import MIN_POINTS, FramePoints
 from warpdef.errors import InputError
-from warpdef.files.cloud_archives import CONTAINERS, NamedFrame, left_behind
+from warpdef.files.cloud_archives import CONTAINERS, NamedFrames, left_behind, times_of
 from warpdef.files.columns import parse_columns
 from warpdef.files.disk import must_exist
 from warpdef.files.formats import CLOUD_SUFFIXES, FRAME_SUFFIXES, read_surface
-from warpdef.files.frame_files import FrameSlot, find_frames, select_frames
+from warpdef.files.frame_files import WHAT_TO_DO, FrameSlot, find_frames, select_frames
 from warpdef.files.mesh_clouds import cloud_of
 from warpdef.files.numpy_files import write_npz
 from warpdef.sequence import MIN_FRAMES, PointSequence
@@ -55,20 +55,21 @@ def read_clouds(
     if points and points < MIN_POINTS:
         raise InputError(f"--points: expected at least {MIN_POINTS}, got {points}")
     suffix = path.suffix.lower()
-    roles, told, times = parse_columns(columns), ReadingNotes(), ()
+    roles, told = parse_columns(columns), ReadingNotes()
     if path.is_dir():
-        named, notes, times = _folder_frames(path, frames, roles, told)
+        named = _folder_frames(path, frames, roles, told)
     elif suffix in CONTAINERS:
-        named, notes = CONTAINERS[suffix](path, frames)
+        named = CONTAINERS[suffix](path, frames)
     elif suffix in CLOUD_SUFFIXES:
         raise InputError(f"{path}: expected a sequence, got one file; give the folder of numbered {suffix} files")
     else:
+        what = f"; {WHAT_TO_DO[suffix]}" if suffix in WHAT_TO_DO else ""
         raise InputError(
             f"{path}: unknown suffix '{suffix}'; expected an .npz, or a folder of numbered files "
-            f"({' '.join(CLOUD_SUFFIXES)})"
+            f"({' '.join(CLOUD_SUFFIXES)}){what}"
         )
-    sequence = PointSequence.from_frames(named, strict=strict, at_most=points, seed=seed, notes=notes)
-    return replace(sequence, columns=told.line, notes=(*sequence.notes, *told.notes), times=times)
+    sequence = PointSequence.from_frames(named.frames, strict=strict, at_most=points, seed=seed, notes=named.notes)
+    return replace(sequence, columns=told.line, notes=(*sequence.notes, *told.notes), times=named.times)
 
 
 @dataclass
@@ -99,14 +100,11 @@ class ReadingNotes:
         return notes
 
 
-def _folder_frames(
-    path: Path, frames: slice | None, columns: Sequence[str], told: ReadingNotes
-) -> tuple[list[NamedFrame], list[str], tuple[float, ...]]:
+def _folder_frames(path: Path, frames: slice | None, columns: Sequence[str], told: ReadingNotes) -> NamedFrames:
     found = find_frames(path, FRAME_SUFFIXES)
     slots = select_frames(found.slots, frames, MIN_FRAMES, path)
     named = [(slot.name, partial(_read_slot, slot, columns, told)) for slot in slots]
-    times = [abs(slot.time - (slots[0].time or 0.0)) for slot in slots if slot.time is not None]
-    return named, found.notes, tuple(times)
+    return NamedFrames(named, found.notes, times_of(slots))
 
 
 def _read_slot(slot: FrameSlot, columns: Sequence[str], told: ReadingNotes) -> FramePoints:

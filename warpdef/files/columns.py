@@ -31,6 +31,7 @@ _ROLES |= {f"{name}{i}": role for name, roles in _NUMBERED.items() for i, role i
 _ROLES |= {"easting": "x", "northing": "y", "elevation": "z"}
 _ODD_NAN = re.compile(rb"[+-]?1\.#(IND|QNAN|SNAN|INF)[0-9]*|[+-]?nan\([a-z]*\)", re.IGNORECASE)
 _UNIT = 0.05  # how far from 1 the length of a normal may be
+_MOST = 16  # columns without names; with more it is an image
 _NO_NORMAL = 0.05  # of the rows: a normal of length 0 stands for one that is not known
 
 
@@ -82,11 +83,16 @@ def guess_roles(table: np.ndarray, where: str) -> list[str]:
     1; six columns are position and normals of any length, too.
 
     Raises:
-        InputError: fewer than three columns, or six of which the last three could be anything.
+        InputError: fewer than three columns or more than 16, or six of which the last three could be anything.
     """
     count = table.shape[1] if table.ndim == 2 else 0
     if count < 3:
         raise InputError(f"{where}: expected at least 3 columns (x y z), got {count or table.shape}")
+    if count > _MOST:
+        raise InputError(
+            f"{where}: expected at most {_MOST} columns without names (x y z ...), got {count}: a depth image becomes "
+            "points by its camera's focal lengths; if it is a table, say what it holds with --columns x,y,z"
+        )
     rows = table[np.isfinite(table).all(axis=1)]
     start = 1 if count > 3 and _counts(rows[:, 0]) else 0
     roles = [PASSED_OVER] * start + list(POINTS)

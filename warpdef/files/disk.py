@@ -17,6 +17,7 @@ from warpdef.errors import InputError
 
 TEXT_BLOCK = 1 << 20
 """Bytes of text that become numbers at once."""
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 
 
 def reason(error: BaseException) -> str:
@@ -88,7 +89,14 @@ def read_bytes(path: Path) -> bytes:
         raise InputError(f"{path}: cannot be read ({reason(error)}); check the path and its permissions") from None
     if not data:
         raise InputError(f"{path}: the file is empty; expected data; write it again")
+    refuse_pointer(data, path)
     return data
+
+
+def refuse_pointer(start: bytes, path: Path) -> None:
+    """Raise ``InputError`` where a file's first bytes say that it stands for data that were not fetched."""
+    if start.startswith(_LFS_POINTER):
+        raise InputError(f"{path}: expected data, got a pointer of Git LFS in their place; fetch them: git lfs pull")
 
 
 def sibling(path: Path, ending: str) -> Path:

@@ -16,6 +16,15 @@ from warpdef.files.frame_numbers import Numbering, natural_key, pattern, read_na
 
 _Item = TypeVar("_Item")
 
+WHAT_TO_DO = {
+    **dict.fromkeys((".gz", ".zip", ".7z", ".xz", ".bz2", ".tar", ".tgz", ".rar", ".zst"), "unpack it"),
+    **dict.fromkeys(
+        (".png", ".tif", ".tiff", ".exr", ".pgm", ".jpg", ".jpeg", ".raw"),
+        "images are no points: make points of each depth image by its camera's focal lengths",
+    ),
+}
+"""By suffix, what to do with files that people have in place of clouds."""
+
 
 @dataclass(frozen=True)
 class FrameSlot:
@@ -202,8 +211,7 @@ def _what_else(entries: Sequence[Path], suffixes: Sequence[str]) -> str:
     if archives:
         return f"none; give the file '{archives[0]}' itself"
     others = sorted({p.suffix.lower() for p in entries if p.suffix and not p.is_dir()})
-    packed = [s for s in others if s in (".gz", ".zip", ".7z", ".xz", ".bz2", ".tar", ".tgz", ".rar", ".zst")]
-    what = "unpack them" if packed and packed == others else "convert the frames"
+    what = next((WHAT_TO_DO[s] for s in others if s in WHAT_TO_DO), "convert the frames")
     return f"other suffixes ({' '.join(others[:6])}); {what}" if others else "none; check the path"
 
 

@@ -4,6 +4,7 @@
     numbering.order, numbering.missing        # [0, 1, 2], {2: 2}: two are missing before the third
 
 Dates and times of day sort as time (day first or year first, months by name, past midnight, 12 hours with am and pm).
+Numbers are negative where some names have a minus before theirs and others none.
 A number is missing where all steps are multiples of the usual one, give or take a fifth as stamps of clocks have it.
 """
 
@@ -24,6 +25,7 @@ _MONTH = re.compile(
     + "|".join(_MONTHS)
     + r")(?![a-z])"
 )
+_MINUS = re.compile(r"(^|[\W_])-$")
 _HALF_DAY = re.compile(r"(?<=[0-9])[ _.-]?([ap])\.?m\.?(?![a-z0-9])")
 _UNEVEN = 0.2  # of the usual step
 _MISSING_MOST = 0.5  # frames missing for one that is there, beyond which a jump is no gap
@@ -56,7 +58,8 @@ def natural_key(name: str) -> tuple:
 
 def pattern(stem: str) -> tuple[str, ...]:
     """The text between the numbers of a name, separators alike: equal for the names of one series."""
-    return tuple(re.sub(r"[\W_]+", " ", part) for part in _split(stem)[0::2])
+    first, *others = _split(stem)[0::2]
+    return tuple(re.sub(r"[\W_]+", " ", part) for part in ("" if first == "-" else first, *others))
 
 
 def read_names(stems: Sequence[str], where: str = "") -> Numbering:
@@ -79,6 +82,9 @@ def read_names(stems: Sequence[str], where: str = "") -> Numbering:
         order = sorted(range(len(stems)), key=lambda i: (time[i], rest[i], natural_key(stems[i])))
         missing, uneven, times = _missing([time[i] for i in order])
         return Numbering(order, missing, None, notes + uneven, times)
+    minus = _minus(stems)
+    # Some names with and some without: f_-1, f_0, f_1.
+    table = np.where(minus & ~minus.all(axis=0), -table, table)
     moving = [c for c in range(table.shape[1]) if len(set(table[:, c])) > 1]
     if not moving:
         if len(stems) > 1:
@@ -97,6 +103,9 @@ def read_names(stems: Sequence[str], where: str = "") -> Numbering:
             pair = f"'{stems[order[twice - 1]]}' and '{stems[order[twice]]}'"
             raise InputError(f"{where}: two files have the number {numbers[twice]}: {pair}; keep one of them")
         missing, uneven, times = _missing(numbers)
+        if minus[:, moving[0]].all():
+            dash = f"the '-' before the numbers in the file names is taken for a dash: '{stems[order[0]]}' is the first"
+            uneven = (*uneven, dash)
         return Numbering(order, missing, numbers, uneven, times)
     _refuse_two_series(stems, table, moving, where)
     return Numbering(natural)
@@ -118,6 +127,12 @@ def _split(stem: str) -> list[str]:
     text = _HALF_DAY.sub("", stem.casefold())
     text = _MONTH.sub(lambda m: f"-{_MONTHS.index(m[1][:3]) + 1:02d}-", text)
     return re.split(r"([0-9]+)", text)
+
+
+def _minus(stems: Sequence[str]) -> np.ndarray:
+    """Whether a minus stands before each number of each name; between letters or digits it is a dash."""
+    before = [_split(stem)[0:-1:2] for stem in stems]
+    return np.array([[bool(_MINUS.search(f"{'0' * (i > 0)}{text}")) for i, text in enumerate(row)] for row in before])
 
 
 def _two(where: str, first: str, second: str, count: int) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 
 from warpdef.errors import InputError
 from warpdef.files.columns import guess_roles, surface_of
-from warpdef.files.disk import Unpacking, must_exist, reason, replacing
+from warpdef.files.disk import Unpacking, must_exist, reason, refuse_pointer, replacing
 from warpdef.files.surface import Surface
 
 MAPPED_FROM = 1 << 26
@@ -75,8 +75,14 @@ def read_npy_points(path: Path, columns: Sequence[str] = ()) -> Surface:
         InputError: as ``read_npy``, or another shape.
     """
     table = read_npy(path)
-    if table.ndim != 2 or len(columns) > table.shape[1]:
-        raise InputError(f"{path}: expected shape (N, {len(columns) or 3}), or more columns, got {table.shape}")
+    shape = table.shape
+    if table.ndim != 2 or len(columns) > shape[1] or (shape[0] in (3, 6) and shape[1] > 2 * shape[0]):
+        what = "save one row a point"
+        if table.ndim == 3 and shape[2] in (3, 6):
+            what = f"an image of points becomes a list by points.reshape(-1, {shape[2]})"
+        elif table.ndim == 2 and shape[0] in (3, 6):
+            what = "transpose it: points.T"
+        raise InputError(f"{path}: expected shape (N, {len(columns) or 3}), or more columns, got {shape}; {what}")
     return surface_of(table, columns or guess_roles(table, str(path)))
 
 
@@ -209,6 +215,9 @@ def _guarded(read: Callable[[], _Result], path: Path) -> _Result:
     except InputError:
         raise
     except _DAMAGE as error:
+        if path.is_file():
+            with path.open("rb") as stream:
+                refuse_pointer(stream.read(64), path)
         kind = path.suffix.lower()
         raise InputError(
             f"{path}: cannot be read as {kind} ({reason(error):.120}); it is damaged: write it again"

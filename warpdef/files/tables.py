@@ -2,7 +2,7 @@
 
 Between the columns stand blanks, tabs, commas or semicolons; numbers have a point or a comma before their decimals. In
 front of the rows may stand a count, a line of names and comments (``#``, ``//``, ``;``, ``%``), the last of which may
-hold the names. Visual C++'s 1.#IND and 1.#QNAN, empty fields and NULL are NaN.
+hold the names. Quotes around fields are left out. Visual C++'s 1.#IND and 1.#QNAN, empty fields and NULL are NaN.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def read_table(path: Path, columns: Sequence[str] = ()) -> Surface:
         InputError: something that is no number, rows of unequal length, too few columns, or columns that could be
             anything.
     """
-    text = decode(read_bytes(path))
+    text = _without_quotes(decode(read_bytes(path)))
     head = _read_head(text, str(path))
     table = _numbers(head, str(path))
     if head.count is not None and head.count > len(table):
@@ -76,6 +76,14 @@ def decode(data: bytes) -> str:
     else:
         text = data.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+def _without_quotes(text: str) -> str:
+    """Fields without the quotes around them; a comma inside those of a number stands before its decimals."""
+    if '"' not in text:
+        return text
+    quoted = re.sub(r'"\s*([+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?)\s*"', r"\1.\2", text)
+    return quoted.replace('"', "")
 
 
 def odd_nans(text: str) -> str:
