@@ -19,6 +19,9 @@ A room a file, in the order in which an iteration goes through them:
     adam, finite            the step; whether numbers are still numbers
     vectors                 clear, copy, add and blend
 
+Where the grids lose a frame, or one camera saw it: ``embedding``, a mesh bent by a few hundred nodes, whose steps
+``embedding_serial`` solves.
+
 The vertex stage, which begins where the grids end:
 
     pairs                   vertices and cloud points paired, as all of its terms see them

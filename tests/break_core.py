@@ -156,7 +156,7 @@ BREAKS = [
           "a parabola reaches over long gaps"),
     Break("warpdef/fit/measures.py", "distance[:, 1].mean()", "distance[:, 2].mean()", ("refine",),
           "spacing to the second fellow"),
-    Break("warpdef/fit/embedded.py", "scale = rigidity / max(len(j), 1)", "scale = rigidity", ("embedded",),
+    Break("warpdef/fit/embedded.py", "scale = rigidity / max(len(self.link), 1)", "scale = rigidity", ("embedded",),
           "rigidity grows with the number of links"),
     Break("warpdef/fit/recover.py", "return 2.0 * keyframe_uncovered + least", "return least", ("recover",),
           "a sparse keyframe makes all frames lost"),

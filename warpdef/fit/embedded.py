@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpdef.geometry.edges import edge_graph
-
-if TYPE_CHECKING:
-    from scipy.sparse import csc_matrix
+from warpdef.kernels.embedding import EmbeddedMesh
+from warpdef.kernels.embedding_serial import BlockOrder
 
 _NEAREST = 4  # nodes a vertex
 _STRAIGHT = 0.8  # least cosine of a chord with the normals at its ends
@@ -119,12 +117,7 @@ class DeformationGraph:
 
     def place(self, rest: np.ndarray, pose: Pose) -> np.ndarray:
         """All vertices, (V, 3), of the mesh ``rest`` (V, 3) in ``pose``."""
-        anchor = rest[self.node]
-        placed = np.zeros_like(rest)
-        for j, w in zip(self.index.T, self.weight.T, strict=True):
-            turned = np.einsum("vab,vb->va", pose.rotation[j], rest - anchor[j])
-            placed += w[:, None] * (turned + anchor[j] + pose.shift[j])
-        return placed
+        return self._of(rest).place(pose.rotation, pose.shift)
 
     def bend(self, rest: np.ndarray, pose: Pose) -> np.ndarray:
         """What links differ by from a rigid motion of their first node, turned back with it: (e, 3)."""
@@ -152,96 +145,48 @@ class DeformationGraph:
         with r_i the vertex ``chosen[i]`` minus its ``goal`` (m, 3), n its unit ``normal`` (m, 3), and w its
         ``weight`` (m,), all 1 if not given. From what links differ by (e, 3) their ``usual`` difference is taken off.
         """
-        from scipy.sparse.linalg import splu
-
-        count, anchor = len(self.node), rest[self.node]
         if weight is None:
             weight = np.ones(len(chosen))
         weight = weight / max(float(weight.sum()), 1e-300)
-        # Of a vertex all matches at once: A the sum of w (n n^T + tangential I), b that of w (n n^T + tangential I) r.
-        vertex, match = np.unique(chosen, return_inverse=True)
-        index, share = self.index[vertex], self.weight[vertex]
-        arm = np.einsum("vjab,vjb->vja", pose.rotation[index], rest[vertex, None] - anchor[index])
-        placed = np.einsum("vj,vja->va", share, arm + anchor[index] + pose.shift[index])
-        asked = weight[:, None, None] * (normal[:, :, None] * normal[:, None, :] + tangential * np.eye(3))
-        pull = np.einsum("iab,ib->ia", asked, placed[match] - goal)
-        asked, pull = _sums(asked, match, len(vertex)), _sums(pull, match, len(vertex))
-        derivative = np.concatenate([-_cross_matrix(arm), np.broadcast_to(np.eye(3), (*arm.shape, 3))], axis=3)
-        derivative = (derivative * share[:, :, None, None]).transpose(0, 2, 1, 3)
-        derivative = derivative.reshape(len(vertex), 3, 6 * index.shape[1])
-        fit = derivative.transpose(0, 2, 1) @ asked @ derivative
-        right = self._scattered(index, np.einsum("vac,va->vc", derivative, pull))
-
-        j, k = self.link.T
-        scale = rigidity / max(len(j), 1)
-        arm = np.einsum("eab,eb->ea", pose.rotation[j], anchor[k] - anchor[j])
-        derivative = np.zeros((len(j), 3, 12))
-        derivative[:, :, :3] = -_cross_matrix(arm)
-        derivative[:, :, 3:6] = np.eye(3)
-        derivative[:, :, 9:] = -np.eye(3)
-        bent = arm + anchor[j] + pose.shift[j] - anchor[k] - pose.shift[k]
-        if usual is not None:
-            bent = bent - usual
-        right += scale * self._scattered(self.link, np.einsum("eac,ea->ec", derivative, bent))
-        stiff = scale * (derivative.transpose(0, 2, 1) @ derivative)
-
-        system = self._assembled((self._of_vertices[vertex], fit), (self._of_links, stiff))
-        options = {"SymmetricMode": True}
-        solve = splu(system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-        move = solve.solve(-right).reshape(count, 6)
+        scale = rigidity / max(len(self.link), 1)
+        matched = chosen, goal, normal, weight, tangential
+        move = self._of(rest).step(pose.rotation, pose.shift, *matched, scale, usual)
         return Pose(rotations(move[:, :3]) @ pose.rotation, pose.shift + move[:, 3:])
 
-    @cached_property
-    def _pattern(self) -> np.ndarray:
-        """Row times the number of nodes plus column of all blocks of a step's matrix, ascending."""
-        own, (j, k) = np.arange(len(self.node)), self.link.T
-        return np.unique(np.concatenate([own, j, k]) * len(own) + np.concatenate([own, k, j]))
+    def _of(self, rest: np.ndarray) -> EmbeddedMesh:
+        return EmbeddedMesh(rest, self.index, self.weight, self.link, rest[self.node], self._order)
 
     @cached_property
-    def _of_vertices(self) -> np.ndarray:
-        """Where in the pattern the pairs of nodes of each vertex are, (V, 16)."""
-        return self._in_pattern(self.index)
+    def _order(self) -> BlockOrder:
+        """In which nodes are eliminated in a step: those of least degree first, as far as SuperLU can tell."""
+        from scipy.sparse import coo_matrix, eye_array
+        from scipy.sparse.linalg import splu
 
-    @cached_property
-    def _of_links(self) -> np.ndarray:
-        """The same of each link, (e, 4)."""
-        return self._in_pattern(self.link)
+        count, (j, k) = len(self.node), self.link.T
+        linked = coo_matrix((np.ones(len(j)), (j, k)), shape=(count, count))
+        matrix = ((len(j) + 1.0) * eye_array(count) - linked - linked.T).tocsc()
+        place = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).perm_c
 
-    def _in_pattern(self, node: np.ndarray) -> np.ndarray:
-        pairs = node[:, :, None] * len(self.node) + node[:, None, :]
-        at = np.searchsorted(self._pattern, pairs.reshape(len(node), -1))
-        return np.minimum(at, len(self._pattern) - 1)
+        # What a column has below its diagonal, the first of it has too.
+        below: list[set[int]] = [set() for _ in range(count)]
+        for a, b in zip(place[j].tolist(), place[k].tolist(), strict=True):
+            below[min(a, b)].add(max(a, b))
+        for column in below:
+            if column:
+                below[min(column)] |= column - {min(column)}
+        row = np.concatenate([[c, *sorted(column)] for c, column in enumerate(below)])
+        start = np.concatenate([[0], np.cumsum([1 + len(column) for column in below])])
+        known = np.repeat(np.arange(count), np.diff(start)) * count + row
 
-    def _assembled(self, *parts: tuple[np.ndarray, np.ndarray]) -> csc_matrix:
-        """The sum of symmetric matrices (m, 6 p, 6 p) at pairs of p nodes (m, p p); without any, 1e-12 of the unit."""
-        from scipy.sparse import bsr_matrix, csc_matrix, csr_matrix
+        def block(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+            """That in the row of the first and the column of the second node, -1 where there is none."""
+            key = place[second] * count + place[first]
+            at = np.minimum(np.searchsorted(known, key), len(known) - 1)
+            return np.where((known[at] == key) & (place[first] >= place[second]), at, -1)
 
-        count, pattern = len(self.node), self._pattern
-        blocks = np.zeros((len(pattern), 36))
-        for pairs, matrices in parts:
-            m, p = len(pairs), matrices.shape[1] // 6
-            each = matrices.reshape(m, p, 6, p, 6).transpose(0, 1, 3, 2, 4).reshape(-1, 36)
-            gather = csr_matrix(
-                (np.ones(pairs.size), (pairs.ravel(), np.arange(pairs.size))), (len(pattern), pairs.size)
-            )
-            blocks += gather @ each
-        # Nodes that nothing holds, on their own in a component, stay.
-        row, column = np.divmod(pattern, count)
-        blocks[row == column] += 1e-12 * np.eye(6).ravel()
-        begin = np.searchsorted(row, np.arange(count + 1))
-        rows = bsr_matrix((blocks.reshape(-1, 6, 6), column, begin), shape=(6 * count, 6 * count)).tocsr()
-        return csc_matrix((rows.data, rows.indices, rows.indptr), shape=rows.shape)  # symmetric: rows are columns
-
-    def _scattered(self, node: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """The sum of vectors (m, 6 p) at nodes (m, p): shape (6 n,)."""
-        return _sums(vectors.reshape(-1, 6), node.ravel(), len(self.node)).ravel()
-
-
-def _sums(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
-    """Values (m, ...) summed by group (m,): shape (count, ...)."""
-    flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
-    sums = [np.bincount(group, weights=column, minlength=count) for column in flat.T]
-    return np.column_stack(sums).astype(np.float64).reshape(count, *values.shape[1:])  # of nothing: integers
+        pairs = block(self.index[:, :, None], self.index[:, None, :]).reshape(len(self.index), -1)
+        tables = place, start, row, pairs, np.maximum(block(j, k), block(k, j))
+        return BlockOrder(*(table.astype(np.int32) for table in tables))
 
 
 def _cross_matrix(v: np.ndarray) -> np.ndarray:
