@@ -35,12 +35,15 @@ def find_static_parts(clouds: list[np.ndarray]) -> list[tuple[np.ndarray, np.nda
     thin = [clouds[t][rng.permutation(len(clouds[t]))[:SAMPLE_POINTS]] for t in frames]
     if min(map(len, thin)) < SAMPLE_POINTS // 10:
         return []
+    every = np.concatenate(thin)
+    part = objects_of(every)
+    if part.max() == 0:
+        return []  # nothing beside what moves
     trees = [cKDTree(points) for points in thin]
     spacing = [np.median(tree.query(points, k=2)[0][:, 1]) for tree, points in zip(trees, thin, strict=True)]
     reach = PLACE * float(np.max(spacing))
     met = [np.mean([tree.query(points)[0] <= reach for tree in trees], axis=0) for points in thin]
-    still, every = np.concatenate(met) >= (len(frames) - 1) / len(frames), np.concatenate(thin)
-    part = objects_of(every)
+    still = np.concatenate(met) >= (len(frames) - 1) / len(frames)
     shares = {k: float(still[part == k].mean()) for k in range(part.max() + 1) if (part == k).mean() >= LEAST}
     if not any(share < MOVING for share in shares.values()):
         return []

@@ -105,7 +105,9 @@ def _clusters(
     link, growth, rounds = rule
     calm = spacing
     for _ in range(rounds):
-        calm = np.minimum(spacing, growth * calm[index[:, :SPACING_NEIGHBOURS]].min(axis=1))
+        before, calm = calm, np.minimum(spacing, growth * calm[index[:, :SPACING_NEIGHBOURS]].min(axis=1))
+        if (calm == before).all():
+            break
     linked = distance <= link * np.minimum(calm[:, None], calm[index])
     rows = np.repeat(np.arange(len(index)), linked.sum(axis=1))
     return component_labels(rows, index[linked], len(index))
@@ -136,13 +138,18 @@ def _floats(points: np.ndarray) -> np.ndarray:
     spacing = distance[:, min(SPACING_NEIGHBOURS, count)]
     near = points[index[:, 1:]]
     centre = np.median(near, axis=1)
-    near = near - near.mean(axis=1, keepdims=True)
-    normal = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))[1][:, :, 0]
-    heights = np.einsum("nki,ni->nk", points[index[:, 1:]] - centre[:, None], normal)
+    high = HEIGHT * np.median(spacing[index[:, 1:]], axis=1)
+    # None is higher than far: most need no plane.
+    far = np.flatnonzero(np.linalg.norm(points - centre, axis=1) > (1.0 - 1e-9) * high)
+    near, centre = near[far], centre[far]
+    away = near - near.mean(axis=1, keepdims=True)
+    normal = np.linalg.eigh(np.einsum("nki,nkj->nij", away, away))[1][:, :, 0]
+    heights = np.einsum("nki,ni->nk", near - centre[:, None], normal)
     roughness = 1.48 * np.median(np.abs(heights), axis=1)
-    height = np.abs(np.einsum("ni,ni->n", points - centre, normal))
-    around = np.median(spacing[index[:, 1:]], axis=1)
-    return (height > HEIGHT * around) & (height > HEIGHT_OVER_ROUGHNESS * roughness)
+    height = np.abs(np.einsum("ni,ni->n", points[far] - centre, normal))
+    floats = np.zeros(len(points), dtype=bool)
+    floats[far] = (height > high[far]) & (height > HEIGHT_OVER_ROUGHNESS * roughness)
+    return floats
 
 
 def drop_strays(sequence: PointSequence, device: wp.Device | None = None) -> PointSequence:

@@ -55,9 +55,7 @@ def complete_frames(area: np.ndarray, sizes: np.ndarray, least: float, surface: 
 
 def point_areas(points: np.ndarray) -> np.ndarray:
     """Area that each point stands for, shape (N,): of the disc to its 16th neighbour, made robust at borders."""
-    from scipy.spatial import cKDTree
-
-    return _point_areas(*cKDTree(points).query(points, k=min(AREA_NEIGHBOURS, len(points) - 1) + 1))
+    return _point_areas(*_neighbours(points, AREA_NEIGHBOURS))
 
 
 def _point_areas(distance: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -73,14 +71,13 @@ def objects_of(points: np.ndarray, near: tuple[np.ndarray, np.ndarray] | None = 
     Objects are connected clusters with at least ``OBJECT_SHARE`` of the points. There is always one.
 
     Args:
-        points: shape (N, 3), free of outliers. near: ``link_neighbours`` of them, where these are known.
+        points: shape (N, 3), free of outliers. near: distances and numbers of the 16 neighbours of all of them,
+            themselves first, both (N, 17), where these are known.
     """
-    distance, index = near or link_neighbours(points)
-    reach = LINK_REACH * np.sqrt(_point_areas(distance, index))
-    # The sparser of the two decides: density may change along a surface.
-    linked = distance <= np.maximum(reach[:, None], reach[index])
-    rows = np.repeat(np.arange(len(points)), linked.sum(axis=1))
-    labels = component_labels(rows, index[linked], len(points))
+    labels = _linked(*near or _neighbours(points, AREA_NEIGHBOURS))
+    # More links join clusters and part none: what the nearest ones hold together, all do.
+    if labels.max() > 0:
+        labels = _linked(*_neighbours(points, LINK_NEIGHBOURS))
     size = np.bincount(labels)
     order = np.argsort(-size, kind="stable")
     objects = max(int((size >= OBJECT_SHARE * len(points)).sum()), 1)
@@ -89,11 +86,20 @@ def objects_of(points: np.ndarray, near: tuple[np.ndarray, np.ndarray] | None = 
     return number[labels]
 
 
-def link_neighbours(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and numbers of the neighbours that a point may be linked to, itself first, both (N, 33)."""
+def _linked(distance: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Cluster of each point, linked to those of its neighbours that are not several spacings away, shape (N,)."""
+    reach = LINK_REACH * np.sqrt(_point_areas(distance, index))
+    # The sparser of the two decides: density may change along a surface.
+    linked = distance <= np.maximum(reach[:, None], reach[index])
+    rows = np.repeat(np.arange(len(index)), linked.sum(axis=1))
+    return component_labels(rows, index[linked], len(index))
+
+
+def _neighbours(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and numbers of that many neighbours of all points, themselves first, both (N, count + 1)."""
     from scipy.spatial import cKDTree
 
-    return cKDTree(points).query(points, k=min(LINK_NEIGHBOURS, len(points) - 1) + 1)
+    return cKDTree(points).query(points, k=min(count, len(points) - 1) + 1)
 
 
 def object_count(points: np.ndarray) -> int:
@@ -105,5 +111,5 @@ def area_and_objects(points: np.ndarray) -> tuple[float, int]:
     """``area_of_discs`` and ``object_count`` of points (N, 3), whose neighbours are looked for once."""
     if len(points) <= 1:
         return 0.0, 1
-    near = link_neighbours(points)
+    near = _neighbours(points, AREA_NEIGHBOURS)
     return area_of_discs(near[0][:, :AREA_NEIGHBOURS]), int(objects_of(points, near).max()) + 1

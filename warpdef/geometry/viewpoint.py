@@ -47,15 +47,16 @@ def viewing_direction(clouds: Sequence[np.ndarray]) -> np.ndarray | None:
     samples = [_sample(clouds[t]) for t in chosen]
     middle = samples[len(samples) // 2]
     half = half_sphere(VIEWS)
-    layered = [layered_share(middle, d) for d in half]
+    apart = [_apart(s) for s in samples]
+    layered = [layered_share(middle, d, apart[len(samples) // 2]) for d in half]
     if min(layered) > PLAUSIBLE:
         return None
     best = half[int(np.argmin(layered))]
     for reach in (0.2, 0.1):
         around = best + reach * np.concatenate([np.zeros((1, 3)), *_across(best)])
         around /= np.linalg.norm(around, axis=1, keepdims=True)
-        best = around[int(np.argmin([np.mean([layered_share(s, d) for s in samples]) for d in around]))]
-    if max(layered_share(s, best) for s in samples) > LAYERED_MAX:
+        best = around[int(np.argmin([np.mean(_layered_shares(samples, d, apart)) for d in around]))]
+    if max(_layered_shares(samples, best, apart)) > LAYERED_MAX:
         return None
     bulge = float(np.mean([_bulge(s, best) for s in samples]))
     if abs(bulge) < BULGE_MIN:
@@ -190,8 +191,24 @@ def half_sphere(count: int) -> np.ndarray:
     return np.column_stack([r * np.cos(angle), r * np.sin(angle), z])
 
 
-def layered_share(points: np.ndarray, direction: np.ndarray) -> float:
-    """Share of neighbours in the picture along ``direction`` (3,) of points (N, 3) that lie on another layer."""
+def _layered_shares(samples: list[np.ndarray], direction: np.ndarray, apart: list[float]) -> list[float]:
+    return [layered_share(s, direction, a) for s, a in zip(samples, apart, strict=True)]
+
+
+def _apart(points: np.ndarray) -> float:
+    """Least distance between two points (N, 3) of two layers, by their spacing."""
+    from scipy.spatial import cKDTree
+
+    count = min(BESIDE, len(points) - 1)
+    around = cKDTree(points).query(points, k=[count + 1])[0][:, 0]
+    return float(APART * np.median(around) / np.sqrt(count))
+
+
+def layered_share(points: np.ndarray, direction: np.ndarray, least: float | None = None) -> float:
+    """Share of neighbours in the picture along ``direction`` (3,) of points (N, 3) that lie on another layer.
+
+    ``least``: distance between two layers, where it is known from another direction.
+    """
     from scipy.spatial import cKDTree
 
     u, v = _across(direction)[0][:2]
@@ -201,9 +218,8 @@ def layered_share(points: np.ndarray, direction: np.ndarray) -> float:
     # The spacing of a picture all over, by its own area: two layers must not make it finer.
     apart = np.maximum(distance[:, 1:], np.median(distance[:, -1]) / np.sqrt(count))
     step = np.abs(depth[index[:, 1:]] - depth[:, None]) > STEP * apart
-    around = cKDTree(points).query(points, k=count + 1)[0][:, -1]
     away = np.linalg.norm(points[index[:, 1:]] - points[:, None], axis=2)
-    return float(np.mean(step & (away > APART * np.median(around) / np.sqrt(count))))
+    return float(np.mean(step & (away > (_apart(points) if least is None else least))))
 
 
 def _bulge(points: np.ndarray, direction: np.ndarray) -> float:
