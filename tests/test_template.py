@@ -274,6 +274,14 @@ def test_a_draft_that_cannot_be_finished_makes_way_for_the_next(rng, monkeypatch
     assert "gave no template: the reconstructed surface cannot be remeshed" in chosen.warnings[0]
 
 
+def test_drafts_that_pass_and_fail_once_finished_leave_the_best_with_a_warning(rng, monkeypatch):
+    counting_remeshes(monkeypatch, lambda vertices, faces, edge_length: (vertices * 0.5, faces))
+    ring = broken_ring(rng, 0.0, 1500)
+    chosen = template.choose_template([ring] * 3, [None] * 3, config(attempts=2, surface="closed", faces_max=800))
+    assert not chosen.gate.passed and "points are far from its surface" in chosen.gate.failures[-1]
+    assert any("no keyframe passed the template gate; using the best" in warning for warning in chosen.warnings)
+
+
 def test_one_handle_is_no_reason_to_begin_at_the_end(rng):
     vertices, faces = icosphere(2)
     gate = quality.judge(TriMesh(vertices, faces), vertices, SMALL, 0)

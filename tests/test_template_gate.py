@@ -74,6 +74,16 @@ def test_as_many_pieces_as_objects_pass(dense_sphere):
     assert gate.passed and (gate.components, gate.objects, gate.handles) == (2, 2, 0)
 
 
+def test_a_cloud_far_denser_than_the_samples_is_not_missed(rng):
+    vertices, faces = icosphere(4)
+    points = rng.normal(size=(80_000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    gate = gate_of(vertices, faces, points)
+    assert gate.passed and gate.missed_share == gate.far_share == 0
+    bare = gate_of(vertices, faces[vertices[faces].mean(axis=1)[:, 2] > 0], points)
+    assert 0.2 < bare.missed_share < 0.5
+
+
 def test_a_mesh_without_area_is_far_everywhere(dense_sphere):
     gate = gate_of(np.zeros((4, 3)), np.array([[0, 1, 2], [0, 2, 3]]), dense_sphere)
     assert gate.far_share == gate.missed_share == 1.0

@@ -13,6 +13,7 @@ from warpdef.cleaning.coarse_steps import tell_coarse_steps
 from warpdef.cleaning.crop import crop
 from warpdef.cleaning.far_points import drop_far
 from warpdef.cleaning.frame_sides import turn_to_one_side
+from warpdef.cleaning.mixed_units import require_one_unit
 from warpdef.cleaning.odd_frames import leave_out_odd
 from warpdef.cleaning.order import put_in_order
 from warpdef.cleaning.static_parts import tell_static_parts
@@ -141,6 +142,9 @@ def clean(sequence: PointSequence, config: Config, device: wp.Device | None = No
 
     Each step says in a note what it left out. What is far goes first, as all else takes its scale from the rest.
     Neighbours are looked for on ``device``; None: on the host, without Warp.
+
+    Raises:
+        InputError: frames in other units than the rest.
     """
     if config.crop:
         sequence = crop(sequence, config.crop)
@@ -159,4 +163,5 @@ def clean(sequence: PointSequence, config: Config, device: wp.Device | None = No
         sequence = put_in_order(sequence)
     if config.drop_odd_frames and not sequence.order:
         sequence = leave_out_odd(sequence)
+    require_one_unit(sequence)
     return sequence.subsample(config.points, config.seed) if config.points else sequence

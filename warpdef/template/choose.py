@@ -118,10 +118,12 @@ def choose_template(
         reasons = " and ".join(gate.failures)
         warnings.append(f"keyframe {frame} failed the template gate: {reasons}{_next(frame, attempts)}")
     passed.sort(key=lambda c: _cost(c.keyframe, c.gate.handles, len(clouds)))
-    if drafts.first_finished(passed, warnings) is not None:
+    unsound: list[ChosenTemplate] = []
+    if drafts.first_finished(passed, warnings, unsound) is not None:
         return _fewest_handles(passed, warnings, len(clouds))
+    failed += unsound
     failed.sort(key=lambda c: c.gate.score)
-    best = drafts.first_finished(failed, warnings, sound=False)
+    best = drafts.first_finished(failed, warnings)
     if best is None:
         raise InputError(f"no template: {warnings[-1]}; give a mesh of your own with --template")
     warnings += best.warnings
@@ -159,20 +161,25 @@ class _Drafts:
         return replace(chosen, mesh=done.mesh, report=done.report, gate=gate)
 
     def first_finished(
-        self, ordered: list[ChosenTemplate], warnings: list[str], sound: bool = True
+        self, ordered: list[ChosenTemplate], warnings: list[str], unsound: list[ChosenTemplate] | None = None
     ) -> ChosenTemplate | None:
-        """The first that can be finished and, if it is to be ``sound``, passes the gate then; others are removed."""
+        """The first that can be finished and passes the gate then; others are removed.
+
+        Args:
+            unsound: takes those that can be finished and do not pass; None: the first is taken, passing or not.
+        """
         while ordered:
             try:
                 done = self.finish(ordered[0])
             except InputError as error:
                 warnings.append(f"keyframe {ordered[0].keyframe} gave no template: {error}")
             else:
-                if done.gate.passed or not sound:
+                if done.gate.passed or unsound is None:
                     ordered[0] = done
                     return done
                 failures = " and ".join(done.gate.failures)
                 warnings.append(f"keyframe {done.keyframe} failed the template gate: {failures}")
+                unsound.append(done)
             ordered.pop(0)
         return None
 

@@ -12,6 +12,7 @@ from warpdef.geometry.coverage import object_count
 from warpdef.mesh import TriMesh
 
 SAMPLES = 20_000
+EDGE_SHARE, EDGE_MOST = 0.5, 0.01  # of the mean edge, and at most of the extent: what a mesh cannot show
 
 
 @dataclass(frozen=True)
@@ -117,18 +118,25 @@ def judge(mesh: TriMesh, points: np.ndarray, config: TemplateConfig, seed: int, 
 def far_shares(mesh: TriMesh, points: np.ndarray, far_spacings: float, seed: int) -> tuple[float, float, float]:
     """Mean point spacing, share of the surface far from every point, and share of points far from the surface.
 
-    By ``SAMPLES`` area-uniform samples; a surface without area is far everywhere.
+    By ``SAMPLES`` area-uniform samples; a surface without area is far everywhere. Nothing is far that is nearer than
+    half an edge (of a mesh that is no coarse one): finer than its edges no mesh can be, however dense the cloud.
     """
     from scipy.spatial import cKDTree
 
+    from warpdef.geometry.closest import closest_on_surface
     from warpdef.geometry.sampling import mean_spacing, sample_surface
 
     tree = cKDTree(points)
     spacing = mean_spacing(points, tree)
-    if not triangles.face_areas(mesh.vertices, mesh.faces).sum() > 0:
+    area = float(triangles.face_areas(mesh.vertices, mesh.faces).sum())
+    if not area > 0:
         return spacing, 1.0, 1.0
     samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, np.random.default_rng(seed))[0]
-    far = tree.query(samples)[0] > far_spacings * spacing
-    on_surface = cKDTree(np.concatenate([samples, mesh.vertices]))
-    missed = on_surface.query(points)[0] > far_spacings * spacing
+    edge = np.sqrt(4.0 / np.sqrt(3.0) * area / len(mesh.faces))
+    bound = max(far_spacings * spacing, min(EDGE_SHARE * edge, EDGE_MOST * float(np.ptp(points, axis=0).max())))
+    far = tree.query(samples)[0] > bound
+    missed = cKDTree(np.concatenate([samples, mesh.vertices])).query(points)[0] > bound
+    if missed.any():
+        # A cloud may be denser than the samples: then it is the surface itself that tells.
+        missed[missed] = closest_on_surface(points[missed], mesh.vertices, mesh.faces)[0] > bound
     return spacing, float(far.mean()), float(missed.mean())
