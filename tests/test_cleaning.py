@@ -99,3 +99,15 @@ def test_a_sequence_is_told_which_frames_lost_how_many(rng):
     assert kept.warnings[0] == kept.notes[0]
     untouched = PointSequence.from_arrays([clean, clean])
     assert drop_strays(untouched) is untouched
+
+
+@pytest.mark.parametrize(
+    ("shares", "kept"), [((0.3, 0.5, 0.3), [2, 2, 2]), ((0.5, 0.5, 0.3), [20, 20, 2]), ((0.3, 0.8, 0.3), [2, 20, 2])]
+)
+def test_one_scanner_made_the_strays_of_all_frames(rng, monkeypatch, shares, kept):
+    """What a frame leaves open, whether strays or a sparse part of the surface, is as in most frames."""
+    told = iter(shares)
+    monkeypatch.setattr(strays, "MIN_POINTS", 1)
+    monkeypatch.setattr(strays, "_suspected", lambda points, device: (np.arange(len(points)) < 2, next(told)))
+    sequence = PointSequence.from_arrays(list(rng.normal(size=(3, 20, 3))))
+    assert [len(points) for points in drop_strays(sequence).points] == kept

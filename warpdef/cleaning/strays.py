@@ -35,7 +35,8 @@ LEAST_CLUSTER = 0.005  # share of the points below which a cut-off cluster is no
 DENSE = 1.5  # a cut-off cluster is an object if its spacing is below this times the main one's ...
 FLAT, SPARSE = 0.3, 6.0  # ... or below the latter, and its neighbourhoods are this flat; those of strays have 0.5
 IN_PLANE_FLAT, IN_PLANE_HEIGHT = 0.2, 0.3  # a cut-off point in the plane of flat neighbours is surface, not stray
-FALSE_ALARM = 0.4  # share of such among the cut-off points, above which these are a sparse part of the surface
+FALSE_ALARM = 0.4  # share of such among the cut-off points, above which these are a sparse part of the surface ...
+CERTAIN = 0.7  # ... but up to here only if it is so in most frames: one scanner made them all
 STRICT_FROM = 0.05  # share of strays by the careful rule from which the strict one is asked
 LEAST_STRAYS = 0.002  # share of the points; up to that, nothing is dropped
 HEIGHT = 0.75  # of a floating point, in local spacings
@@ -52,8 +53,15 @@ def inlier_mask(points: np.ndarray, device: wp.Device | None = None) -> np.ndarr
     Args:
         points: shape (N, 3), any units. device: where neighbours are looked for; None: on the host, without Warp.
     """
+    mask, flat = _suspected(points, device)
+    return mask if flat <= FALSE_ALARM else np.ones_like(mask)
+
+
+def _suspected(points: np.ndarray, device: wp.Device | None) -> tuple[np.ndarray, float]:
+    """The mask if what is cut off are strays, and the share of it that speaks for a sparse part of the surface; that
+    is NaN if nothing is cut off."""
     points = np.asarray(points, dtype=np.float64)
-    every = np.ones(len(points), dtype=bool)
+    every = np.ones(len(points), dtype=bool), np.nan
     if len(points) < LEAST_POINTS:
         return every
     most = max(LEAST_STRAYS * len(points), 1)
@@ -69,8 +77,9 @@ def inlier_mask(points: np.ndarray, device: wp.Device | None = None) -> np.ndarr
     inlier = _hangs_together(points, distance, index, spacing, CAREFUL)
     if (~inlier).sum() <= most:
         return every
-    if _in_plane(points[~inlier], points[index[~inlier]], spacing[~inlier]).mean() > FALSE_ALARM:
-        return every
+    flat = float(_in_plane(points[~inlier], points[index[~inlier]], spacing[~inlier]).mean())
+    if flat > CERTAIN:
+        return every[0], flat
     if (~inlier).mean() > STRICT_FROM:
         inlier &= _hangs_together(points, distance, index, spacing, STRICT)
     for _ in range(ROUNDS):
@@ -78,7 +87,7 @@ def inlier_mask(points: np.ndarray, device: wp.Device | None = None) -> np.ndarr
         if not floating.any():
             break
         inlier[np.flatnonzero(inlier)[floating]] = False
-    return inlier
+    return inlier, flat
 
 
 def _hangs_together(
@@ -157,8 +166,13 @@ def drop_strays(sequence: PointSequence, device: wp.Device | None = None) -> Poi
 
     Frames that would be left with fewer than ``MIN_POINTS`` points stay whole.
     """
-    masks = [inlier_mask(points, device) for points in sequence.points]
-    masks = [mask if mask.sum() >= MIN_POINTS else np.ones_like(mask) for mask in masks]
+    masks, flat = zip(*(_suspected(points, device) for points in sequence.points), strict=True)
+    shares = [share for share in flat if not np.isnan(share)]
+    most = CERTAIN if shares and float(np.median(shares)) <= FALSE_ALARM else FALSE_ALARM
+    masks = [
+        mask if share <= most and mask.sum() >= MIN_POINTS else np.ones_like(mask)
+        for mask, share in zip(masks, flat, strict=True)
+    ]
     found = [(number, mask) for number, mask in zip(sequence.numbers, masks, strict=True) if not mask.all()]
     if not found:
         return sequence
