@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_follow import FRAMES, KEYFRAME, lost_chain
+from test_follow import BODY, FRAMES, KEYFRAME, lost_chain
 
 from warpdef.fit import follow as walks
 from warpdef.fit.follow import follow
@@ -61,3 +61,58 @@ def test_what_covers_less_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     assert bent == []
     np.testing.assert_array_equal(vertices[KEYFRAME + 1], expected[KEYFRAME + 1])
     np.testing.assert_allclose(vertices, expected, rtol=0, atol=1e-3)
+
+
+class _Told:
+    """A bending whose poses are the frames they came from, last first, and whose faults are told."""
+
+    def __init__(self, faults: dict[tuple[int, ...], float]) -> None:
+        self.faults, self.bends = faults, list[tuple[int, ...]]()
+
+    def still(self) -> tuple[int, ...]:
+        return ()
+
+    def onto(self, cloud: int, start: tuple[int, ...], enough: float) -> tuple[int, ...]:
+        self.bends.append((cloud, *start))
+        return (cloud, *start)
+
+    def fault(self, cloud: int, pose: tuple[int, ...]) -> float:
+        return self.faults.get(pose, 0.02)
+
+    def place(self, pose: tuple[int, ...]) -> np.ndarray:
+        return np.full((len(BODY.vertices[0]), 3), float(len(pose)))
+
+
+BACK = (10, 11, 10, 9, 8, 7)  # frame 10 once more, from 11
+
+
+@pytest.mark.parametrize(
+    ("faults", "recover", "tried_again", "kept"),
+    [
+        ({BACK[2:]: 0.08}, True, True, True),  # 0.02 is less than half
+        ({BACK[2:]: 0.08, BACK: 0.05}, True, True, False),
+        (
+            {BACK[2:]: 0.08, BACK[1:]: 0.06, (12, *BACK[1:]): 0.05},
+            True,
+            False,
+            False,
+        ),  # the one behind is hardly better
+        ({BACK[2:]: 0.08}, False, False, False),
+    ],
+)
+def test_what_one_camera_saw_is_tried_from_behind(monkeypatch, faults, recover, tried_again, kept) -> None:
+    told = _Told(faults)
+    monkeypatch.setattr(walks._Walk, "bending", told)
+    monkeypatch.setattr(walks._Walk, "_seen_cloud", lambda self, frame: frame)
+    settled: list[tuple[int, int]] = []
+    monkeypatch.setattr(walks._Walk, "_settle", lambda self, frame, neighbour: settled.append((frame, neighbour)))
+    with closing(Team(1)) as team:
+        optimiser, refinement = lost_chain(team, chain=False)
+        problem = optimiser.problem
+        problem.seen, config = True, problem.config
+        problem.config = replace(config, refine=replace(config.refine, recover=recover))
+        followed, bent = follow(optimiser.objective, refinement)
+        placed = optimiser.objective.vertices.numpy()[10, 0, 0]
+    assert len(followed) == FRAMES - 1 and bent == [10] * kept and ((10, 11) in settled) == kept
+    assert (BACK in told.bends) == tried_again and len(told.bends) == FRAMES - 1 + tried_again
+    assert placed == (len(BACK) if kept else len(BACK) - 2)

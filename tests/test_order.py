@@ -42,6 +42,14 @@ def test_films_stay_as_they_are(bar: list[np.ndarray], rng: np.random.Generator)
         assert order_by_pose(film) is None
 
 
+def test_two_bodies_that_meet_and_part_are_a_film(rng: np.random.Generator) -> None:
+    """Its second half is the first one backwards: most frames are as like a later one as their neighbours."""
+    body = icosphere(3)[0] * [0.5, 1.0, 0.5]
+    ways = [1.2, 1.1, 1.0, 0.9, 0.8, 0.8, 0.9, 1.0, 1.1, 1.2]
+    film = [np.concatenate([body - [way, 0.0, 0.0], body[:, [2, 0, 1]] + [way, 0.0, 0.0]]) for way in ways]
+    assert order_by_pose([cloud + rng.normal(scale=0.01, size=cloud.shape) for cloud in film]) is None
+
+
 @pytest.mark.parametrize("every", [2, 3])
 def test_a_film_whose_frames_lack_a_part_by_turns_is_one(bar: list[np.ndarray], every: int) -> None:
     """By whole clouds, halves are more like other halves than like their neighbours."""
