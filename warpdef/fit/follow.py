@@ -132,7 +132,7 @@ class _Walk:
             self._settle(target, source)
             fitted.append(target)
         if bending is not None and self.problem.config.refine.recover:
-            for inner, outer in zip(fitted[-2::-1], fitted[:0:-1], strict=True):
+            for inner, outer in _from_behind(fitted):
                 if faults[inner] > max(FAULTLESS, WORSE * faults[outer]) and not self.stopped():
                     self._bend_back(inner, outer, poses, faults)
         return fitted
@@ -170,7 +170,7 @@ class _Walk:
                 self._try_again(target, source)
             fitted.append(target)
         if config.recover and not p.config.optimiser.chain:
-            for inner, outer in zip(fitted[-2::-1], fitted[:0:-1], strict=True):
+            for inner, outer in _from_behind(fitted):
                 if p.measures.complete[inner] and not self._wrong(outer):
                     self._try_again(inner, outer)
         return fitted
@@ -269,3 +269,8 @@ class _Walk:
         facing = vertex_normals(vertices.astype(np.float64), p.faces)[Nearest(vertices, p.device).query(points)[1]]
         begin, end = (int(place) for place in p.cloud_offsets[frame : frame + 2])
         p.normals[begin:end].assign(turned_to(normals, facing).astype(np.float32))
+
+
+def _from_behind(fitted: list[int]) -> list[tuple[int, int]]:
+    """Frames of one side in the order of the way, each with the one behind it, the last first."""
+    return list(zip(fitted[-2::-1], fitted[:0:-1], strict=True))
