@@ -29,6 +29,7 @@ The vertex stage, which begins where the grids end:
     mixture                 noisy points, which ask all vertices around them
     unseen, landmarks       what holds a vertex where a frame has no points; where it is known to be
     rigidity                how edges turn with their vertices; on the CPU rotation_lanes, edge_lanes
+    material                how stiff the surface is, vertex by vertex, by how it strained
     block_cg, block_serial  the solve for all moves at once; on one CPU core
     patches, fairing        places that are smooth in time, in patches of the surface; a shape without noise
 

@@ -1,9 +1,9 @@
 """Conjugate gradients for (A + beta I + alpha L) d = b with a 3x3 block A_i at every vertex of every frame.
 
-The blocks come from point-to-plane residuals, L = D - A_mesh from rigidity. Preconditioned by the inverse of each
-diagonal block A_i + (beta + alpha degree) I. Frames are independent systems over the same mesh, each a block or cluster
-(``clusters``) that stops as soon as it is done, or on the CPU a thread (``block_serial``); residuals are told and
-restarted from as in ``cg``. The operator is symmetric.
+The blocks come from point-to-plane residuals, L = D - A_mesh from rigidity, edges as stiff as the ``material`` says.
+Preconditioned by the inverse of each diagonal block A_i + (beta + alpha degree) I. Frames are independent systems over
+the same mesh, each a block or cluster (``clusters``) that stops as soon as it is done, or on the CPU a thread
+(``block_serial``); residuals are told and restarted from as in ``cg``. The operator is symmetric.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from warpdef.kernels.cg_functions import check_limits, ratio, worth_going_on
 from warpdef.kernels.clusters import CLUSTER, PARTIAL, cluster_lane, cluster_lanes, cluster_sum, cluster_wait
 from warpdef.kernels.graphs import Graph
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.material import edge_stiffness, stiffness_around
 from warpdef.kernels.sizes import sizes
 from warpdef.kernels.ways import Way, cluster_of, lanes_of, way_of
 
@@ -26,8 +27,8 @@ BLOCK_LANES = 256
 
 
 @wp.func
-def diagonal_block(matrix: wp.mat33, degree: int, alpha: float, beta: float) -> wp.mat33:
-    return matrix + (beta + alpha * float(degree)) * wp.identity(n=3, dtype=wp.float32)
+def diagonal_block(matrix: wp.mat33, degree: float, alpha: float, beta: float) -> wp.mat33:
+    return matrix + (beta + alpha * degree) * wp.identity(n=3, dtype=wp.float32)
 
 
 @wp.func
@@ -38,21 +39,20 @@ def apply_block_row(
     beta: float,
     row: wp.array[wp.int32],
     column: wp.array[wp.int32],
+    stiffness: wp.array[wp.float32],
     matrix: wp.array2d[wp.mat33],
     x: wp.array2d[wp.vec3],
 ) -> wp.vec3:
     """Row i of frame t."""
-    begin = row[i]
-    end = row[i + 1]
-    total = diagonal_block(matrix[t, i], end - begin, alpha, beta) * x[t, i]
-    for k in range(begin, end):
-        total -= alpha * x[t, column[k]]
+    total = diagonal_block(matrix[t, i], stiffness_around(stiffness, i, row, column), alpha, beta) * x[t, i]
+    for k in range(row[i], row[i + 1]):
+        total -= (alpha * edge_stiffness(stiffness, i, column[k])) * x[t, column[k]]
     return total
 
 
 @sizes(
-    "threads iterations_out residual_out: T; row: V+1; column: E; matrix rhs inverse r p ap solution_out: T V; "
-    f"partial: {PARTIAL}*T"
+    "threads iterations_out residual_out: T; row: V+1; column: E; stiffness: V?; "
+    f"matrix rhs inverse r p ap solution_out: T V; partial: {PARTIAL}*T"
 )
 @wp.kernel(**block_options(BLOCK_LANES, CLUSTER))
 def _solve_frames(
@@ -62,6 +62,7 @@ def _solve_frames(
     beta: float,
     row: wp.array[wp.int32],
     column: wp.array[wp.int32],
+    stiffness: wp.array[wp.float32],
     matrix: wp.array2d[wp.mat33],
     rhs: wp.array2d[wp.vec3],
     tolerance: float,
@@ -84,7 +85,8 @@ def _solve_frames(
     rz = float(0.0)
     for i in range(cluster_lane(), count, cluster_lanes()):
         b = rhs[t, i]
-        inverse[t, i] = wp.inverse(diagonal_block(matrix[t, i], row[i + 1] - row[i], alpha, beta))
+        degree = stiffness_around(stiffness, i, row, column)
+        inverse[t, i] = wp.inverse(diagonal_block(matrix[t, i], degree, alpha, beta))
         z = inverse[t, i] * b
         solution_out[t, i] = wp.vec3(0.0, 0.0, 0.0)
         r[t, i] = b
@@ -103,7 +105,7 @@ def _solve_frames(
         while done < iterations_max and r_sq > tolerance * tolerance * b_sq:
             p_ap = float(0.0)
             for i in range(cluster_lane(), count, cluster_lanes()):
-                v = apply_block_row(t, i, alpha, beta, row, column, matrix, p)
+                v = apply_block_row(t, i, alpha, beta, row, column, stiffness, matrix, p)
                 ap[t, i] = v
                 p_ap += wp.dot(p[t, i], v)
             sums = cluster_sum(wp.vec3(p_ap, 0.0, 0.0), t, 0, partial)
@@ -129,7 +131,7 @@ def _solve_frames(
             r_sq = float(0.0)
             rz = float(0.0)
             for i in range(cluster_lane(), count, cluster_lanes()):
-                v = rhs[t, i] - apply_block_row(t, i, alpha, beta, row, column, matrix, solution_out)
+                v = rhs[t, i] - apply_block_row(t, i, alpha, beta, row, column, stiffness, matrix, solution_out)
                 z = inverse[t, i] * v
                 r[t, i] = v
                 p[t, i] = z
@@ -184,15 +186,16 @@ class BlockSolver:
 
     def solve(
         self, first: int, last: int, alpha: float, beta: float, matrix: wp.array, rhs: wp.array,
-        solution_out: wp.array,
+        solution_out: wp.array, stiffness: wp.array | None = None,
     ) -> None:  # fmt: skip
         """Solve frames ``first .. last`` (last excluded).
 
         Args:
             alpha: weight of L. beta: weight of I, above 0. matrix: shape (T, V) mat33, symmetric, semidefinite.
             rhs, solution_out: shape (T, V) vec3.
+            stiffness: shape (V,) float32, above 0; an edge of L weighs the mean of its ends. None: 1 everywhere.
         """
-        system = [alpha, beta, self._row, self._column, matrix, rhs, *self._limits]
+        system = [alpha, beta, self._row, self._column, stiffness, matrix, rhs, *self._limits]
         results = [solution_out, self.iterations, self.residual]
         if self._way is Way.SPANS:
             launch(solve_frames_serially, last - first, [first, *system, *results], self._device)

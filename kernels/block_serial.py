@@ -4,7 +4,7 @@ Conjugate gradients as there. With the blocks D of the diagonal as preconditione
 the blocks make of p follows the same recursion, q = D p = r + turn q, so that an iteration needs no blocks but the
 inverse ones:
 
-    w = (D - alpha A) p = q - alpha sum_j p_j           j the neighbours
+    w = (D - alpha A) p = q - alpha sum_j s_ij p_j      j the neighbours, s_ij the stiffness of the edge
 
 Vectors of a frame are flat, three floats a vertex, and nearly fit into the second cache; they are taken from the heap
 for the time of a solve.
@@ -32,6 +32,7 @@ _SOLVE = """
     float* const solution = (float*)solution_out.data + 3 * first;
     const int* const begin_of = row.data;
     const int* const neighbour = column.data;
+    const float* const stiff = (const float*)stiffness.data;  // none: 1 everywhere, as in ``material``
     float* const memory = (float*)malloc(sizeof(float) * (5 * padded + 9 * (size_t)count + 16));
     if (!memory) {
         residual_out.data[t] = INFINITY;
@@ -63,8 +64,26 @@ _SOLVE = """
     };
     const auto around = [&](const float* of, int i) {
         four total = {};
-        for (int k = begin_of[i], end = begin_of[i + 1]; k < end; ++k) total += load(of + 3 * (size_t)neighbour[k]);
-        return total;
+        const int begin = begin_of[i], end = begin_of[i + 1];
+        if (!stiff) {
+            for (int k = begin; k < end; ++k) total += load(of + 3 * (size_t)neighbour[k]);
+            return total;
+        }
+        four sum = {};
+        for (int k = begin; k < end; ++k) {
+            const size_t j = neighbour[k];
+            const four there = load(of + 3 * j);
+            total += stiff[j] * there;
+            sum += there;
+        }
+        return 0.5f * (stiff[i] * sum + total);
+    };
+    const auto degree = [&](int i) {
+        const int begin = begin_of[i], end = begin_of[i + 1];
+        if (!stiff) return (float)(end - begin);
+        float total = (float)(end - begin) * stiff[i];
+        for (int k = begin; k < end; ++k) total += stiff[neighbour[k]];
+        return 0.5f * total;
     };
     const auto solved = [&](int i) {
         const float* const m = inverse + 9 * (size_t)i;
@@ -75,7 +94,7 @@ _SOLVE = """
     many b_sq = {}, r_sq = {}, ru = {};
     for (int i = 0; i < count; ++i) {
         const float* const m = blocks + 9 * (size_t)i;
-        const float more = beta + alpha * (float)(begin_of[i + 1] - begin_of[i]);
+        const float more = beta + alpha * degree(i);
         const float a = m[0] + more, b = m[1], c = m[2], d = m[4] + more, e = m[5], f = m[8] + more;
         const float aa = d * f - e * e, ab = c * e - b * f, ac = b * e - c * d, bc = b * c - a * e;
         const float whole = a * aa + b * ab + c * ac, share = whole != 0.0f ? 1.0f / whole : 0.0f;
@@ -125,7 +144,7 @@ _SOLVE = """
             blockwise([&](int i) {
                 const float* const m = blocks + 9 * (size_t)i;
                 const float* const v = x + 3 * i;
-                const float more = beta + alpha * (float)(begin_of[i + 1] - begin_of[i]);
+                const float more = beta + alpha * degree(i);
                 four at = alpha * around(x, i) - more * load(v);
                 for (int k = 0; k < 3; ++k)
                     at[k] += asked[3 * i + k] - (m[3 * k] * v[0] + m[3 * k + 1] * v[1] + m[3 * k + 2] * v[2]);
@@ -154,6 +173,7 @@ def solve_frame(
     beta: float,
     row: wp.array[wp.int32],
     column: wp.array[wp.int32],
+    stiffness: wp.array[wp.float32],
     matrix: wp.array2d[wp.mat33],
     rhs: wp.array2d[wp.vec3],
     tolerance: float,
@@ -164,7 +184,7 @@ def solve_frame(
 ): ...
 
 
-@sizes("threads iterations_out residual_out: T; row: V+1; column: E; matrix rhs solution_out: T V")
+@sizes("threads iterations_out residual_out: T; row: V+1; column: E; stiffness: V?; matrix rhs solution_out: T V")
 @wp.kernel
 def solve_frames_serially(
     # In:
@@ -173,6 +193,7 @@ def solve_frames_serially(
     beta: float,
     row: wp.array[wp.int32],
     column: wp.array[wp.int32],
+    stiffness: wp.array[wp.float32],
     matrix: wp.array2d[wp.mat33],
     rhs: wp.array2d[wp.vec3],
     tolerance: float,
@@ -184,6 +205,6 @@ def solve_frames_serially(
 ):
     """CPU: one thread a frame, from zero."""
     solve_frame(
-        begin + wp.tid(), alpha, beta, row, column, matrix, rhs, tolerance, iterations_max, solution_out,
+        begin + wp.tid(), alpha, beta, row, column, stiffness, matrix, rhs, tolerance, iterations_max, solution_out,
         iterations_out, residual_out,
     )  # fmt: skip

@@ -29,6 +29,7 @@ _BEGIN = """
 _RIGID = (
     _BEGIN
     + """
+    const float* const stiff = (const float*)stiffness.data;  // none: 1 everywhere, as in ``material``
     const float* const y = (const float*)rest.data;
     const float* const x = (const float*)vertices.data + 3 * t * count;
     const float* const turned = (const float*)rotation.data + 9 * t * count;
@@ -37,9 +38,10 @@ _RIGID = (
     for (int e = begin; e < end; ++e) {
         const size_t j = column.data[e];
         const float* const m = turned + 9 * j;
-        const four edge = yi - load(y + 3 * j);
+        const float weight = stiff ? 0.5f * (stiff[own] + stiff[j]) : 1.0f;
+        const four edge = weight * (yi - load(y + 3 * j));
         a += row_of(m) * edge; b += row_of(m + 3) * edge; c += load(m + 6) * edge;
-        edges += edge; there += xi - load(x + 3 * j);
+        edges += edge; there += weight * (xi - load(x + 3 * j));
     }
     const float* const m = turned + 9 * own;
     a += row_of(m) * edges; b += row_of(m + 3) * edges; c += load(m + 6) * edges;
@@ -86,6 +88,7 @@ def rigid_sum(
     i: int,
     row: wp.array[wp.int32],
     column: wp.array[wp.int32],
+    stiffness: wp.array[wp.float32],
     rest: wp.array[wp.vec3],
     rotation: wp.array2d[wp.mat33],
     vertices: wp.array2d[wp.vec3],
@@ -103,7 +106,7 @@ def rest_sum(
 ) -> wp.vec3: ...
 
 
-@sizes("threads: T*V; row: V+1; column: E; rest: V; rotation vertices rhs_out: T V")
+@sizes("threads: T*V; row: V+1; column: E; stiffness: V?; rest: V; rotation vertices rhs_out: T V")
 @wp.kernel
 def rigid_rhs_in_lanes(
     # In:
@@ -111,6 +114,7 @@ def rigid_rhs_in_lanes(
     weight: float,
     row: wp.array[wp.int32],
     column: wp.array[wp.int32],
+    stiffness: wp.array[wp.float32],
     rest: wp.array[wp.vec3],
     rotation: wp.array2d[wp.mat33],
     vertices: wp.array2d[wp.vec3],
@@ -121,7 +125,7 @@ def rigid_rhs_in_lanes(
     k = begin + wp.tid()
     t = k // rest.shape[0]
     i = k - t * rest.shape[0]
-    rhs_out[t, i] = rhs_out[t, i] + weight * rigid_sum(t, i, row, column, rest, rotation, vertices)
+    rhs_out[t, i] = rhs_out[t, i] + weight * rigid_sum(t, i, row, column, stiffness, rest, rotation, vertices)
 
 
 @sizes("threads rhs_out: V; frames: A; row: V+1; column: E; rotation vertices: T V")

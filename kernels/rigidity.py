@@ -18,6 +18,7 @@ import warp as wp
 
 from warpdef.kernels.edge_lanes import rest_rhs_in_lanes, rigid_rhs_in_lanes
 from warpdef.kernels.launching import MODULE_OPTIONS, launch
+from warpdef.kernels.material import edge_stiffness
 from warpdef.kernels.rotation_lanes import LANES_OF_ROTATIONS, following
 from warpdef.kernels.sizes import require_span, sizes
 from warpdef.kernels.ways import Way, way_of
@@ -208,7 +209,7 @@ def _fit_rotations_in_lanes(
         lane = lane + 1
 
 
-@sizes("threads: T*V; row: V+1; column: E; rest: V; rotation vertices rhs_out: T V")
+@sizes("threads: T*V; row: V+1; column: E; stiffness: V?; rest: V; rotation vertices rhs_out: T V")
 @wp.kernel
 def _rigid_rhs(
     # In:
@@ -216,6 +217,7 @@ def _rigid_rhs(
     weight: float,
     row: wp.array[wp.int32],
     column: wp.array[wp.int32],
+    stiffness: wp.array[wp.float32],
     rest: wp.array[wp.vec3],
     rotation: wp.array2d[wp.mat33],
     vertices: wp.array2d[wp.vec3],
@@ -230,7 +232,7 @@ def _rigid_rhs(
     for e in range(row[i], row[i + 1]):
         j = column[e]
         turned = 0.5 * ((rotation[t, i] + rotation[t, j]) * (rest[i] - rest[j]))
-        total += turned - (vertices[t, i] - vertices[t, j])
+        total += edge_stiffness(stiffness, i, j) * (turned - (vertices[t, i] - vertices[t, j]))
     rhs_out[t, i] = rhs_out[t, i] + weight * total
 
 
@@ -323,11 +325,15 @@ def fit_rotations(
 
 def rigid_rhs(
     begin: int, count: int, weight: float, row: wp.array, column: wp.array, rest: wp.array, rotation: wp.array,
-    vertices: wp.array, rhs_out: wp.array,
+    vertices: wp.array, rhs_out: wp.array, stiffness: wp.array | None = None,
 ) -> None:  # fmt: skip
-    """Add ``weight`` times minus half the gradient to the vertices; shapes as in ``fit_rotations``."""
+    """Add ``weight`` times minus half the gradient to the vertices; shapes as in ``fit_rotations``.
+
+    Args:
+        stiffness: shape (V,) float32, of the material; an edge weighs the mean of its ends. None: 1 everywhere.
+    """
     kernel = rigid_rhs_in_lanes if way_of(vertices.device) is Way.SPANS else _rigid_rhs
-    launch(kernel, count, [begin, weight, row, column, rest, rotation, vertices, rhs_out], vertices.device)
+    launch(kernel, count, [begin, weight, row, column, stiffness, rest, rotation, vertices, rhs_out], vertices.device)
 
 
 def rest_rhs(

@@ -43,17 +43,35 @@ def rigid_residual(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np
     return x[:, i] - x[:, j] - np.einsum("teab,eb->tea", 0.5 * (rotation[:, i] + rotation[:, j]), y[i] - y[j])
 
 
-def rigid_energy(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> float:
-    return float((rigid_residual(x, y, rotation, edges) ** 2).sum())
+def edge_stiffness(stiffness: np.ndarray | None, edges: np.ndarray) -> np.ndarray:
+    """(E,), of ends (V,); None: 1."""
+    return np.ones(len(edges)) if stiffness is None else stiffness[edges].mean(axis=1)
 
 
-def rigid_rhs(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Minus half the gradient of ``rigid_energy`` to x."""
-    residual, rhs = rigid_residual(x, y, rotation, edges), np.zeros(x.shape)
+def rigid_energy(x, y, rotation, edges: np.ndarray, stiffness: np.ndarray | None = None) -> float:
+    squares = (rigid_residual(x, y, rotation, edges) ** 2).sum(axis=2)
+    return float((edge_stiffness(stiffness, edges) * squares).sum())
+
+
+def rigid_rhs(x, y, rotation, edges: np.ndarray, stiffness: np.ndarray | None = None) -> np.ndarray:
+    """Minus half the gradient of ``rigid_energy`` to x, (T, V, 3)."""
+    rhs = np.zeros(x.shape)
+    residual = edge_stiffness(stiffness, edges)[:, None] * rigid_residual(x, y, rotation, edges)
     for t in range(len(x)):
         np.add.at(rhs[t], edges[:, 0], -residual[t])
         np.add.at(rhs[t], edges[:, 1], residual[t])
     return rhs
+
+
+def strains(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Mean square strain of a vertex's edges over all frames, (V,)."""
+    left = (rigid_residual(x, y, rotation, edges) ** 2).sum(axis=2).mean(axis=0)
+    whole = ((y[edges[:, 0]] - y[edges[:, 1]]) ** 2).sum(axis=1)
+    strained, size = np.zeros(len(y)), np.zeros(len(y))
+    for end in (0, 1):
+        np.add.at(strained, edges[:, end], left)
+        np.add.at(size, edges[:, end], whole)
+    return np.divide(strained, size, out=np.zeros(len(y)), where=size > 0)
 
 
 def rest_rhs(x: np.ndarray, rotation: np.ndarray, edges: np.ndarray) -> np.ndarray:

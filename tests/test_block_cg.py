@@ -44,12 +44,14 @@ def system(graph: Graph, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarr
     return matrix, rng.normal(size=(FRAMES, count, 3)).astype(np.float32)
 
 
-def matrix_of(graph: Graph, blocks: np.ndarray, alpha: float, beta: float) -> csr_matrix:
+def matrix_of(graph: Graph, blocks: np.ndarray, alpha: float, beta: float, stiffness=None) -> csr_matrix:
     """A + beta I + alpha L of one frame, float64; the numbers are those the kernel gets."""
     count = len(graph.node)
     alpha, beta = (float(np.float32(a)) for a in (alpha, beta))
-    adjacency = csr_matrix((np.ones(len(graph.column)), graph.column, graph.row), shape=(count, count))
-    scalar = alpha * (diags(np.diff(graph.row).astype(float)) - adjacency) + beta * identity(count)
+    stiffness = np.ones(count) if stiffness is None else stiffness.astype(np.float64)
+    weight = 0.5 * (stiffness[np.repeat(np.arange(count), np.diff(graph.row))] + stiffness[graph.column])
+    adjacency = csr_matrix((weight, graph.column, graph.row), shape=(count, count))
+    scalar = alpha * (diags(np.asarray(adjacency.sum(axis=1)).ravel()) - adjacency) + beta * identity(count)
     return (block_diag(blocks.astype(np.float64)) + kron(scalar, identity(3))).tocsr()
 
 
@@ -62,21 +64,22 @@ class BlockSolve:
         with going(self.way, self.lanes):
             self.solver = BlockSolver(graph, frames, tolerance, iterations, self.device)
 
-    def __call__(self, matrix, rhs, alpha=ALPHA, beta=BETA, spans=None) -> np.ndarray:
+    def __call__(self, matrix, rhs, alpha=ALPHA, beta=BETA, spans=None, stiffness=None) -> np.ndarray:
         blocks = wp.array(matrix.astype(np.float32), dtype=wp.mat33, device=self.device)
         asked = wp.array(rhs.astype(np.float32), dtype=wp.vec3, device=self.device)
+        stiff = None if stiffness is None else wp.array(stiffness, dtype=wp.float32, device=self.device)
         solution = wp.full(rhs.shape[:2], wp.vec3(7.0, 7.0, 7.0), dtype=wp.vec3, device=self.device)
         for first, last in spans or [(0, self.frames)]:
             with going(self.way, self.lanes):
-                self.solver.solve(first, last, alpha, beta, blocks, asked, solution)
+                self.solver.solve(first, last, alpha, beta, blocks, asked, solution, stiff)
         np.testing.assert_array_equal(asked.numpy(), rhs.astype(np.float32))
         return solution.numpy()
 
-    def residuals(self, matrix, rhs, solution, alpha=ALPHA, beta=BETA) -> np.ndarray:
+    def residuals(self, matrix, rhs, solution, alpha=ALPHA, beta=BETA, stiffness=None) -> np.ndarray:
         """|b - M x| / |b| of every frame, float64; 0 / 0 is 0."""
         left = []
         for blocks, b, x in zip(matrix, rhs.astype(np.float64), solution.astype(np.float64), strict=True):
-            r = b.ravel() - matrix_of(self.graph, blocks, alpha, beta) @ x.ravel()
+            r = b.ravel() - matrix_of(self.graph, blocks, alpha, beta, stiffness) @ x.ravel()
             left.append(np.linalg.norm(r) / (np.linalg.norm(b) or 1.0))
         return np.array(left)
 
@@ -103,6 +106,16 @@ def test_it_is_the_direct_solution(alpha, beta, graph, system, device: str, lane
         bound = 2e-5 * np.linalg.norm(rhs[t]) / beta
         assert np.linalg.norm(solution[t] - expected) <= bound
         assert np.linalg.norm(solution[t] - expected) <= 1e-3 * np.linalg.norm(expected)
+
+
+def test_edges_are_as_stiff_as_their_ends(graph, system, device: str, lanes: int, rng: np.random.Generator) -> None:
+    solve, (matrix, rhs) = BlockSolve(graph, device, lanes), system
+    stiffness = rng.uniform(0.5, 2.0, len(graph.node)).astype(np.float32)
+    solution = solve(matrix, rhs, stiffness=stiffness)
+    assert (solve.residuals(matrix, rhs, solution, stiffness=stiffness) <= 1.2e-5).all()
+    assert (solve.residuals(matrix, rhs, solution) > 1e-2).all()
+    even = solve(matrix, rhs, stiffness=np.ones(len(graph.node), np.float32))
+    np.testing.assert_array_equal(even, BlockSolve(graph, device, lanes)(matrix, rhs))
 
 
 def test_a_zero_right_hand_side_is_zero_at_once(graph, system, device: str, lanes: int) -> None:

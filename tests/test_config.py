@@ -101,6 +101,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "refine.shape_step": ([-0.1, 2], [0, 1.9]),
     "refine.tolerance": ([0, 1, -1e-3], [1e-8, 0.5]),
     "refine.iterations_max": COUNT,
+    "refine.material": FREE,
     "refine.recover": FREE,
     **{f"loss.{field.name}": FROM_ZERO for field in fields(LossConfig) if field.name.endswith("_weight")},
 }

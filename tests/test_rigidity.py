@@ -45,11 +45,12 @@ class Mesh:
             fit_rotations(begin, count, self.row, self.column, rest, moving, out, tie, scratch)
         return out.numpy().astype(np.float64)
 
-    def rhs(self, x, y, rotation, weight: float = 1.0, start: float = 0.0, cuts=WHOLE) -> np.ndarray:
+    def rhs(self, x, y, rotation, weight: float = 1.0, start: float = 0.0, cuts=WHOLE, stiffness=None) -> np.ndarray:
         moving, rest, turned = self.put(x), self.put(y), self.put(rotation, wp.mat33)
         out = self.put(np.full(x.shape, start))
+        stiff = None if stiffness is None else self.put(stiffness, wp.float32)
         for begin, count in self.spans(cuts, len(x) * self.count):
-            rigid_rhs(begin, count, weight, self.row, self.column, rest, turned, moving, out)
+            rigid_rhs(begin, count, weight, self.row, self.column, rest, turned, moving, out, stiff)
         return out.numpy()
 
     def rest_rhs(self, x, rotation, cuts=WHOLE, frames=None) -> np.ndarray:
@@ -91,6 +92,11 @@ def state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     rotation = turns(3 * len(sphere), rng).reshape(3, -1, 3, 3)
     x, rest, rotation = (a.astype(np.float32).astype(np.float64) for a in (x, rest, rotation))
     return x, rest, rotation
+
+
+@pytest.fixture
+def stiffness(state, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(0.5, 2.0, len(state[1])).astype(np.float32).astype(np.float64)
 
 
 def turns(count: int, rng: np.random.Generator) -> np.ndarray:
@@ -245,10 +251,17 @@ def test_rigid_rhs_matches_the_twin_and_is_added(mesh: Mesh, state) -> None:
     assert_gradients_close(mesh.rhs(x, y, rotation, weight=0.5, start=2.0), 2.0 + 0.5 * expected)
 
 
-def test_rigid_rhs_is_minus_half_the_gradient(mesh: Mesh, state) -> None:
-    x, y, rotation = state
-    slope = finite_differences(lambda a: twin.rigid_energy(a, y, rotation, mesh.edges), x)
-    assert_gradients_close(mesh.rhs(x, y, rotation), -0.5 * slope)
+@pytest.mark.parametrize("even", [True, False])
+def test_rigid_rhs_is_minus_half_the_gradient(mesh: Mesh, state, stiffness: np.ndarray, even: bool) -> None:
+    (x, y, rotation), stiff = state, None if even else stiffness
+    slope = finite_differences(lambda a: twin.rigid_energy(a, y, rotation, mesh.edges, stiff), x)
+    found = mesh.rhs(x, y, rotation, stiffness=stiff)
+    assert_gradients_close(found, -0.5 * slope)
+    assert_gradients_close(found, twin.rigid_rhs(x, y, rotation, mesh.edges, stiff))
+
+
+def test_a_stiffness_of_one_is_none(mesh: Mesh, state) -> None:
+    np.testing.assert_array_equal(mesh.rhs(*state, stiffness=np.ones(mesh.count)), mesh.rhs(*state))
 
 
 def test_rest_rhs_matches_the_twin(mesh: Mesh, state) -> None:
@@ -292,10 +305,10 @@ def test_frames_that_show_all_say_what_they_say_together_and_what_none_shows_sta
     assert_gradients_close(nothing, twin.laplacian(mesh.edges, mesh.count) @ y)
 
 
-def test_both_right_hand_sides_match_autodiff(mesh: Mesh, state) -> None:
+def test_both_right_hand_sides_match_autodiff(mesh: Mesh, state, stiffness: np.ndarray) -> None:
     x, y, rotation = state
 
-    def gradients(rest: np.ndarray) -> list[np.ndarray]:
+    def gradients(rest: np.ndarray, stiffness: np.ndarray) -> list[np.ndarray]:
         """To x and to y."""
         values = [
             wp.array(a.astype(np.float32), dtype=wp.vec3, device=mesh.device, requires_grad=True) for a in (x, rest)
@@ -303,13 +316,15 @@ def test_both_right_hand_sides_match_autodiff(mesh: Mesh, state) -> None:
         pairs = wp.array(mesh.edges, dtype=wp.int32, ndim=2, device=mesh.device)
         loss = wp.zeros(1, dtype=wp.float32, device=mesh.device, requires_grad=True)
         with wp.Tape() as tape:
-            inputs = [*values, mesh.put(rotation, wp.mat33), pairs, loss]
+            inputs = [*values, mesh.put(rotation, wp.mat33), pairs, mesh.put(stiffness, wp.float32), loss]
             wp.launch(witness_refine.rigid_edges, (len(x), len(mesh.edges)), inputs=inputs, device=mesh.device)
         tape.backward(loss)
         return [gradient_of(v) for v in values]
 
-    assert_gradients_close(mesh.rhs(x, y, rotation), -0.5 * gradients(y)[0])
-    assert_gradients_close(mesh.rest_rhs(x, rotation), -0.5 / len(x) * gradients(np.zeros_like(y))[1])
+    even = np.ones(mesh.count)
+    assert_gradients_close(mesh.rhs(x, y, rotation), -0.5 * gradients(y, even)[0])
+    assert_gradients_close(mesh.rhs(x, y, rotation, stiffness=stiffness), -0.5 * gradients(y, stiffness)[0])
+    assert_gradients_close(mesh.rest_rhs(x, rotation), -0.5 / len(x) * gradients(np.zeros_like(y), even)[1])
 
 
 def test_a_rigidly_turned_mesh_is_at_rest(mesh: Mesh, rng: np.random.Generator) -> None:

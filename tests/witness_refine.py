@@ -13,6 +13,7 @@ def rigid_edges(
     rest: wp.array(dtype=wp.vec3),
     rotation: wp.array2d(dtype=wp.mat33),
     edges: wp.array2d(dtype=wp.int32),
+    stiffness: wp.array(dtype=wp.float32),
     loss_out: wp.array(dtype=wp.float32),
 ):
     """One thread an edge of a frame."""
@@ -21,7 +22,7 @@ def rigid_edges(
     j = edges[e, 1]
     mean = 0.5 * (rotation[t, i] + rotation[t, j])
     residual = vertices[t, i] - vertices[t, j] - mean * (rest[i] - rest[j])
-    wp.atomic_add(loss_out, 0, wp.dot(residual, residual))
+    wp.atomic_add(loss_out, 0, 0.5 * (stiffness[i] + stiffness[j]) * wp.dot(residual, residual))
 
 
 @wp.kernel

@@ -289,6 +289,8 @@ class RefineConfig:
     """Weight that ties a vertex's rotation to its neighbours', so that turns spread; 0 for none.
 
     Of what one camera saw, and where noise is wider than the spacing, nothing is tied."""
+    material: bool = True
+    """Learn from all frames where the surface strains most, and hold it less there; where rotations may be tied."""
     clean_thickness: float = 0.3
     """Local thickness over width of a cloud (16 neighbours) up to which it counts as clean."""
     noisy_thickness: float = 0.55

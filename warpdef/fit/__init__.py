@@ -29,6 +29,7 @@ The vertex stage, which ends the fit:
     pairing, unseen             pairs of points and mesh and their planes; what holds a vertex without points
     landmarks                   known places of the mesh, which lead a frame's start, too
     rest_shape                  one shape that all frames share
+    material                    and how stiff it is, by how it strained in them
     smoothness                  patches of the surface, in which vertices move evenly in time
 
 And around all of it ``run`` (what goes on when; stops, undone iterations) and ``saving`` (checkpoints in time).

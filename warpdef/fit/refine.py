@@ -3,10 +3,11 @@
 The finest grid has a node every tenth of the cube; wrinkles are smaller. After the grids every vertex of every frame
 moves on its own, by Gauss-Newton on
 
-    E = sum_t sum_pairs w r^2 + rigidity sum_t sum_(i,j) | (x_i - x_j) - (R_i + R_j)/2 (y_i - y_j) |^2
+    E = sum_t sum_pairs w r^2 + rigidity sum_t sum_(i,j) s_ij | (x_i - x_j) - (R_i + R_j)/2 (y_i - y_j) |^2
 
 with symmetric point-to-plane residuals r both ways, a rotation R a vertex and frame, and one rest shape y for all
-frames. y is an unknown like the others (``rest_shape``). The noisier the clouds, the stiffer. Pairs and their planes
+frames. y is an unknown like the others (``rest_shape``), and the stiffness s of edges is learnt from all frames
+(``material``). The noisier the clouds, the stiffer. Pairs and their planes
 come from ``pairing``, in rounds over clouds whose noise is wide from every point and all vertices around it; what a
 frame does not show is held by the frames around it (``unseen``). In the last rounds a second solve draws vertices to
 places that are smooth in time (``smoothness``).
@@ -27,6 +28,7 @@ import warp as wp
 
 from warpdef.device import Way, frame_of, load_kernels
 from warpdef.fit.landmarks import LandmarkTerm, PlacedLandmarks
+from warpdef.fit.material import Material
 from warpdef.fit.objective import Objective
 from warpdef.fit.pairing import Pairing, noise_of
 from warpdef.fit.recover import Cloud, recover
@@ -52,7 +54,7 @@ class Refinement:
         objective: grids fitted; its ``vertices``, shape (T, V), are the start and the result.
         team: CPU threads. capture: on CUDA, run a round as one graph. landmarks: known correspondences.
 
-    pairing, unseen, landmarks, shape: the parts of a round.
+    pairing, unseen, landmarks, shape, material: the parts of a round.
     rotation: of every vertex from the shape, shape (T, V) mat33.
     """
 
@@ -66,7 +68,8 @@ class Refinement:
         self.noise = noise_of(p.measures.thickness, c)
         self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
         # What one camera saw is held by the bent template, and points that scatter by patches.
-        self._tie = c.rotation_smoothness if p.scattered is None and not p.seen else 0.0
+        alike = p.scattered is None and not p.seen
+        self._tie = c.rotation_smoothness if alike else 0.0
         self.rotation, self._matrix = (wp.zeros(shape, dtype=wp.mat33, device=device) for _ in range(2))
         borrow = p.pool.borrower()
         self._rhs, self._move, *scratch = (borrow(wp.vec3, shape) for _ in range(4))
@@ -74,9 +77,9 @@ class Refinement:
         self.unseen = Unseen(p, objective.vertices, self.rotation)
         self.landmarks = None if landmarks is None else LandmarkTerm(landmarks, p, objective.vertices)
         self.shape = RestShape(p, objective.vertices, self.rotation, self.noise, self.unseen.trust)
-        self.smoothness = Smoothness(
-            p, (self.shape.places, objective.vertices, self.rotation), self.noise, tuple(scratch)
-        )
+        moving = self.shape.places, objective.vertices, self.rotation
+        self.smoothness = Smoothness(p, moving, self.noise, tuple(scratch))
+        self.material = Material(p, moving, c.iterations) if alike and c.material else None
         self._edges = p.integers(p.mesh.row), p.integers(p.mesh.column)
         self._solver = BlockSolver(p.mesh, p.frame_count, c.tolerance, c.iterations_max, device)
         self.solves = SolveReport("block cg")
@@ -112,6 +115,8 @@ class Refinement:
         if self.config.recover and chain and self.done == settled:
             self._recover()
         free = (_FREE - _FREE_LESS * min(self.noise, 1.0)) * self.config.iterations
+        if self.material is not None:
+            self.material.learn(self.done)
         late = self._smooth_round if self.done >= round(free) else None
         (late or self._round).run()
         self.done += 1
@@ -174,6 +179,7 @@ class Refinement:
             "normals": self.problem.normals,
             "shape_start": self.shape.start,
             **self.unseen.state(),
+            **({} if self.material is None else {"stiffness": self.material.stiffness}),
         }
 
     def restore(self, state: Mapping[str, wp.array | np.ndarray], done: int) -> None:
@@ -187,6 +193,10 @@ class Refinement:
         thickness = self.problem.measures.thickness
         measured = {"thickness": thickness, "noise": self.noise, "rigidity": self.rigidity}
         return {"rounds": self.done, **measured, "frames_partial": int((~self.problem.measures.complete).sum())}
+
+    @property
+    def _stiffness(self) -> wp.array | None:
+        return None if self.material is None else self.material.stiffness
 
     # Tasks.
 
@@ -209,18 +219,21 @@ class Refinement:
             self.unseen.hold(first, last, self.pairing, *sums)
         if self.landmarks is not None:
             self.landmarks.hold(first, last, *sums)
-        rigid_rhs(begin, count, self.rigidity, *self._edges, self.shape.places, self.rotation, o.vertices, self._rhs)
-        self._solve(first, last, together)
+        stiffness = self._stiffness if together else None
+        moving = self.shape.places, self.rotation, o.vertices
+        rigid_rhs(begin, count, self.rigidity, *self._edges, *moving, self._rhs, stiffness)
+        self._solve(first, last, stiffness, together)
 
     def _smooth_frames(self, first: int, last: int) -> None:
         """Solve for the moves to places that are smooth in time, by the matrix of the pairs just met, and turn."""
         self.smoothness.hold(first, last, self._matrix, self._rhs)
-        self._solve(first, last)
+        self._solve(first, last, self._stiffness)
 
-    def _solve(self, first: int, last: int, tied: bool = True) -> None:
+    def _solve(self, first: int, last: int, stiffness: wp.array | None, tied: bool = True) -> None:
         """Move by what matrix and right-hand side ask for, and turn, ``tied`` to the neighbours."""
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
-        self._solver.solve(first, last, self.rigidity, self.config.damping, self._matrix, self._rhs, self._move)
+        weights = self.rigidity, self.config.damping
+        self._solver.solve(first, last, *weights, self._matrix, self._rhs, self._move, stiffness)
         add_scaled(begin, count, 1.0, self._move.flatten(), self.objective.vertices.flatten())
         self._fit_rotations(first, last, tied)
 

@@ -1,0 +1,69 @@
+"""Strains against their twin; and a bar that bends in one place is found to be soft there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import reference_refine as twin
+import synthetic
+import warp as wp
+
+from warpdef.fit.material import stiffness_of
+from warpdef.geometry.triangles import unique_edges
+from warpdef.kernels.graphs import mesh_graph
+from warpdef.kernels.material import strains
+
+
+def strains_of(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.ndarray, device: str, spans=None):
+    """(V,), NaN where nobody wrote."""
+    graph = mesh_graph(edges, len(y), 1.0)
+    row, column = (wp.array(a, dtype=wp.int32, device=device) for a in (graph.row, graph.column))
+    put = {"rest": (y, wp.vec3), "rotation": (rotation, wp.mat33), "vertices": (x, wp.vec3)}
+    arrays = [wp.array(a.astype(np.float32), dtype=d, device=device) for a, d in put.values()]
+    out = wp.full(len(y), float("nan"), dtype=wp.float32, device=device)
+    for begin, count in spans or [(0, len(y))]:
+        strains(begin, count, row, column, *arrays, out)
+    return out.numpy()
+
+
+@pytest.fixture
+def state(rng: np.random.Generator):
+    sphere, faces = synthetic.icosphere(1)
+    y = sphere + 0.1 * rng.normal(size=sphere.shape)
+    turns = [synthetic.turn_about(rng.normal(size=3), 0.3) for _ in range(3 * len(y))]
+    x = y + 0.2 * rng.normal(size=(3, *y.shape))
+    return x, y, np.reshape(turns, (3, len(y), 3, 3)), unique_edges(faces)
+
+
+def test_strains_match_the_twin(state, device: str) -> None:
+    found = strains_of(*state, device)
+    np.testing.assert_allclose(found, twin.strains(*state), rtol=1e-5)
+    spans = strains_of(*state, device, [(0, 10), (10, 1), (11, 31)])
+    np.testing.assert_array_equal(spans, found)
+    assert np.isnan(strains_of(*state, device, [(5, 4)])[9:]).all()
+
+
+def test_what_moves_rigidly_has_no_strain_and_what_is_twice_as_long_strains_by_one(state, device: str) -> None:
+    _, y, _, edges = state
+    turn = synthetic.turn_about(np.array([1.0, 2.0, 3.0]), 2.0)
+    turned = np.broadcast_to(turn, (1, len(y), 3, 3))
+    np.testing.assert_allclose(strains_of((y @ turn.T + 1)[None], y, turned, edges, device), 0, atol=1e-9)
+    np.testing.assert_allclose(strains_of((2 * y @ turn.T)[None], y, turned, edges, device), 1, rtol=1e-4)
+
+
+def test_without_edges_and_without_length_nothing_strains(device: str) -> None:
+    edges, turned = np.array([[0, 1]]), np.broadcast_to(np.eye(3), (2, 3, 3, 3))
+    together = np.zeros((3, 3))
+    np.testing.assert_array_equal(strains_of(np.ones((2, 3, 3)), together, turned, edges, device), 0)
+    apart = np.arange(18.0).reshape(2, 3, 3)
+    assert np.isfinite(strains_of(apart, together, turned, edges, device)).all()
+
+
+def test_stiffness_falls_where_strain_is_and_stays_in_bounds() -> None:
+    strain = np.concatenate([np.full(50, 0.1), np.full(10, 0.15), np.full(10, 9.0), np.zeros(10)]) ** 2
+    found = stiffness_of(strain)
+    np.testing.assert_allclose(found[:50], 1)
+    assert (found[50:60] < 0.8).all() and (found[60:70] == 0.5).all()
+    assert ((found[70:] > 1.2) & (found[70:] <= 2)).all()
+    # Strains as small as what triangles themselves leave tell nothing.
+    np.testing.assert_allclose(stiffness_of(np.linspace(0, 1e-4, 20)), 1, atol=0.02)

@@ -1,0 +1,44 @@
+"""The material, learnt from all frames: what strains most, as skin over a joint does, is held least."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from warpdef.fit.problem import Problem
+from warpdef.kernels.material import strains
+
+_LEARNT = (0.2, 0.4, 0.6)  # shares of the rounds after which it is learnt anew, from what frames have come to by then
+_NO_STRAIN = 0.06  # of an edge's length: what points' noise and triangles themselves leave of strain
+_SPAN = 2.0  # times softer or stiffer than the middle at most: very soft places get rough
+
+
+class Material:
+    """Stiffness of every vertex, shape (V,) float32: a part of a round.
+
+    Args:
+        moving: the shape, (V,) vec3, the vertices of all frames, (T, V) vec3, and their rotations, (T, V) mat33.
+        rounds: how many there will be.
+    """
+
+    def __init__(self, problem: Problem, moving: tuple[wp.array, wp.array, wp.array], rounds: int) -> None:
+        self._edges = problem.integers(problem.mesh.row), problem.integers(problem.mesh.column)
+        self._moving, self._after = moving, {round(share * rounds) for share in _LEARNT}
+        self.stiffness = wp.ones(problem.vertex_count, dtype=wp.float32, device=problem.device)
+        self._strain = wp.zeros(problem.vertex_count, dtype=wp.float32, device=problem.device)
+
+    def learn(self, done: int) -> None:
+        """After ``done`` rounds: one over the root of the mean square strain, the middle 1. Waits for the device.
+
+        So squares of strains become sizes (iteratively reweighted least squares), of a vertex over all frames together.
+        """
+        if done in self._after:
+            places, vertices, rotation = self._moving
+            strains(0, len(places), *self._edges, places, rotation, vertices, self._strain)
+            self.stiffness.assign(stiffness_of(self._strain.numpy()))
+
+
+def stiffness_of(strain_sq: np.ndarray) -> np.ndarray:
+    """Stiffness by mean square strain, both (V,); 1 in the middle, from 1/2 to 2."""
+    softness = np.sqrt(strain_sq.astype(np.float64) + _NO_STRAIN**2)
+    return np.clip(np.median(softness) / softness, 1 / _SPAN, _SPAN).astype(np.float32)
