@@ -27,7 +27,8 @@ def strains_of(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.nda
 
 
 @pytest.fixture
-def state(rng: np.random.Generator):
+def state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """x, y, R and edges that do not fit one another, of three frames."""
     sphere, faces = synthetic.icosphere(1)
     y = sphere + 0.1 * rng.normal(size=sphere.shape)
     turns = [synthetic.turn_about(rng.normal(size=3), 0.3) for _ in range(3 * len(y))]
