@@ -14,8 +14,12 @@ from warpdef.kernels.graphs import mesh_graph
 from warpdef.kernels.material import strains
 
 
-def strains_of(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.ndarray, device: str, spans=None):
+State = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def strains_of(state: State, device: str, spans=None) -> np.ndarray:
     """(V,), NaN where nobody wrote."""
+    x, y, rotation, edges = state
     graph = mesh_graph(edges, len(y), 1.0)
     row, column = (wp.array(a, dtype=wp.int32, device=device) for a in (graph.row, graph.column))
     put = {"rest": (y, wp.vec3), "rotation": (rotation, wp.mat33), "vertices": (x, wp.vec3)}
@@ -27,7 +31,7 @@ def strains_of(x: np.ndarray, y: np.ndarray, rotation: np.ndarray, edges: np.nda
 
 
 @pytest.fixture
-def state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def state(rng: np.random.Generator) -> State:
     """x, y, R and edges that do not fit one another, of three frames."""
     sphere, faces = synthetic.icosphere(1)
     y = sphere + 0.1 * rng.normal(size=sphere.shape)
@@ -37,27 +41,27 @@ def state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray,
 
 
 def test_strains_match_the_twin(state, device: str) -> None:
-    found = strains_of(*state, device)
+    found = strains_of(state, device)
     np.testing.assert_allclose(found, twin.strains(*state), rtol=1e-5)
-    spans = strains_of(*state, device, [(0, 10), (10, 1), (11, 31)])
+    spans = strains_of(state, device, [(0, 10), (10, 1), (11, 31)])
     np.testing.assert_array_equal(spans, found)
-    assert np.isnan(strains_of(*state, device, [(5, 4)])[9:]).all()
+    assert np.isnan(strains_of(state, device, [(5, 4)])[9:]).all()
 
 
 def test_what_moves_rigidly_has_no_strain_and_what_is_twice_as_long_strains_by_one(state, device: str) -> None:
     _, y, _, edges = state
     turn = synthetic.turn_about(np.array([1.0, 2.0, 3.0]), 2.0)
     turned = np.broadcast_to(turn, (1, len(y), 3, 3))
-    np.testing.assert_allclose(strains_of((y @ turn.T + 1)[None], y, turned, edges, device), 0, atol=1e-9)
-    np.testing.assert_allclose(strains_of((2 * y @ turn.T)[None], y, turned, edges, device), 1, rtol=1e-4)
+    np.testing.assert_allclose(strains_of(((y @ turn.T + 1)[None], y, turned, edges), device), 0, atol=1e-9)
+    np.testing.assert_allclose(strains_of(((2 * y @ turn.T)[None], y, turned, edges), device), 1, rtol=1e-4)
 
 
 def test_without_edges_and_without_length_nothing_strains(device: str) -> None:
     edges, turned = np.array([[0, 1]]), np.broadcast_to(np.eye(3), (2, 3, 3, 3))
     together = np.zeros((3, 3))
-    np.testing.assert_array_equal(strains_of(np.ones((2, 3, 3)), together, turned, edges, device), 0)
+    np.testing.assert_array_equal(strains_of((np.ones((2, 3, 3)), together, turned, edges), device), 0)
     apart = np.arange(18.0).reshape(2, 3, 3)
-    assert np.isfinite(strains_of(apart, together, turned, edges, device)).all()
+    assert np.isfinite(strains_of((apart, together, turned, edges), device)).all()
 
 
 def test_stiffness_falls_where_strain_is_and_stays_in_bounds() -> None:
