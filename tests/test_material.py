@@ -13,7 +13,6 @@ from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.graphs import mesh_graph
 from warpdef.kernels.material import strains
 
-
 State = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -22,11 +21,13 @@ def strains_of(state: State, device: str, spans=None) -> np.ndarray:
     x, y, rotation, edges = state
     graph = mesh_graph(edges, len(y), 1.0)
     row, column = (wp.array(a, dtype=wp.int32, device=device) for a in (graph.row, graph.column))
-    put = {"rest": (y, wp.vec3), "rotation": (rotation, wp.mat33), "vertices": (x, wp.vec3)}
-    arrays = [wp.array(a.astype(np.float32), dtype=d, device=device) for a, d in put.values()]
+    arrays = [
+        wp.array(a.astype(np.float32), dtype=dtype, device=device)
+        for a, dtype in ((y, wp.vec3), (rotation, wp.mat33), (x, wp.vec3))
+    ]
     out = wp.full(len(y), float("nan"), dtype=wp.float32, device=device)
     for begin, count in spans or [(0, len(y))]:
-        strains(begin, count, row, column, *arrays, out)
+        strains(begin, count, row, column, arrays[0], arrays[1], arrays[2], out)
     return out.numpy()
 
 
