@@ -73,3 +73,19 @@ def test_stiffness_falls_where_strain_is_and_stays_in_bounds() -> None:
     assert ((found[70:] > 1.2) & (found[70:] <= 2)).all()
     # Strains as small as what triangles themselves leave tell nothing.
     np.testing.assert_allclose(stiffness_of(np.linspace(0, 1e-4, 20)), 1, atol=0.02)
+
+
+def test_a_bar_that_bends_in_one_place_is_soft_there(device: str) -> None:
+    """Two frames, bent to either side; rotations are each vertex's best."""
+    along, around = np.meshgrid(np.arange(20), np.arange(8), indexing="ij")
+    bar = np.stack([0.3 * along, np.cos(np.pi / 4 * around), np.sin(np.pi / 4 * around)], axis=-1)
+    middle = 0.3 * 9.5
+    frames = []
+    for angle in (0.9, -0.9):
+        turned = (bar - [middle, 0, 0]) @ synthetic.turn_about(np.array([0.0, 0.0, 1.0]), angle).T + [middle, 0, 0]
+        frames.append(np.where(bar[..., :1] > middle, turned, bar).reshape(-1, 3))
+    x, y, number = np.stack(frames), bar.reshape(-1, 3), 8 * along + around
+    edges = np.concatenate([np.stack([number, np.roll(number, 1, axis=1)], -1).reshape(-1, 2),
+                            np.stack([number[1:], number[:-1]], -1).reshape(-1, 2)])  # fmt: skip
+    found = stiffness_of(strains_of((x, y, twin.fit_rotations(x, y, edges), edges), device)).reshape(20, 8)
+    assert found[9:11].mean() < 0.7 and (found[:8] == found.max()).all() and (found[12:] == found.max()).all()
