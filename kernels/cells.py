@@ -259,6 +259,12 @@ def fit_cells(lower: np.ndarray, upper: np.ndarray, wanted: float) -> Cells:
     return cells
 
 
+def box_around(places: np.ndarray) -> np.ndarray:
+    """Lower and upper corner (2, 3) of those places (N, 3) that are finite; zeros if none is."""
+    finite = places[np.isfinite(places).all(axis=1)].astype(float)
+    return np.stack([finite.min(axis=0), finite.max(axis=0)]) if len(finite) else np.zeros((2, 3))
+
+
 class PointGrid:
     """Targets of a search, grouped; ``build`` sorts them anew where they moved.
 
@@ -266,7 +272,7 @@ class PointGrid:
         points: shape (N,) vec3, cube units, groups behind each other; read at every ``build``.
         sizes: points in each group, G integers that sum to N.
         box: lower and upper corner, (2, 3), where points are expected, which is a matter of speed alone; None: around
-            the points as they are.
+            the points as they are, which waits for the device.
     """
 
     def __init__(self, points: wp.array, sizes: Sequence[int] | np.ndarray, box: np.ndarray | None = None) -> None:
@@ -275,8 +281,7 @@ class PointGrid:
         self.points = points
         self.offset = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
         if box is None:
-            finite = points.numpy()[np.isfinite(points.numpy()).all(axis=1)].astype(float)
-            box = np.stack([finite.min(axis=0), finite.max(axis=0)]) if len(finite) else np.zeros((2, 3))
+            box = box_around(points.numpy())
         self._way = way_of(device)
         per_point = _CELLS_PER_POINT[self._way]
         self.cells = fit_cells(box[0], box[1], per_point * int(np.max(sizes)))

@@ -27,9 +27,10 @@ from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
 from warpdef.fit.refine import Refinement
 from warpdef.fit.workers import Team
+from warpdef.geometry.denoise import Scattered
 
 FRAMES, KEYFRAME = 17, 8  # as the sequences of the results have: what goes frame by frame must show
-LEVELS, SUBDIVISIONS, POINTS = 3, 2, 150
+LEVELS, SUBDIVISIONS, POINTS = 3, 2, 400  # of half a cloud enough must be left that it is judged
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,16 @@ class Launch:
 
 @dataclass
 class Counted:
-    """launches: of each kernel, by its name; each: of kernels, in order. allocations: of device memory."""
+    """launches: of each kernel, by its name; each: of kernels, in order. allocations: of device memory.
+
+    reads, writes: arrays that the host asked for, each of which waits for the device, and that it filled.
+    """
 
     launches: Counter[str] = field(default_factory=Counter)
     each: list[Launch] = field(default_factory=list)
     allocations: int = 0
+    reads: int = 0
+    writes: int = 0
 
     @property
     def total(self) -> int:
@@ -101,12 +107,22 @@ def counting() -> Iterator[Counted]:
         counted.allocations += 1
         return count(lambda *_, **__: "array_scan", scan, 2)(*args, **kwargs)
 
+    read, write = wp.array.numpy, wp.array.assign
+
+    def counting_reads(array: wp.array) -> Any:
+        counted.reads += 1
+        return read(array)
+
+    def counting_writes(array: wp.array, source: Any) -> Any:
+        counted.writes += 1
+        return write(array, source)
+
     def kernel_of(kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], block_dim: int = 0, **_: Any) -> str:
         name, arrays = kernel.func.__name__.lstrip("_"), _arrays(kernel, inputs)
         size = sum({a.ptr: a.size * wp.types.type_size_in_bytes(a.dtype) for a in arrays.values()}.values())
         longest, cells = 0, 0
         if name.startswith("sort_groups"):
-            longest, cells = int(np.diff(arrays["offset"].numpy()).max()), arrays["start_out"].shape[1]
+            longest, cells = int(np.diff(read(arrays["offset"])).max()), arrays["start_out"].shape[1]
         threads = int(np.prod(dim))
         counted.each.append(Launch(name, threads, size, threads // block_dim if block_dim else 0, longest, cells))
         return name
@@ -117,6 +133,8 @@ def counting() -> Iterator[Counted]:
         mock.patch.object(wp.utils, "array_scan", counting_scan),
         mock.patch.object(wp.array, "fill_", count(lambda *_, **__: "fill", wp.array.fill_)),
         mock.patch.object(wp.array, "zero_", count(lambda *_, **__: "fill", wp.array.zero_)),
+        mock.patch.object(wp.array, "numpy", counting_reads),
+        mock.patch.object(wp.array, "assign", counting_writes),
         mock.patch.object(allocator, "allocate", counting_memory),
     ):
         yield counted
@@ -127,15 +145,23 @@ def small_grids() -> Config:
     return replace(Config(), grid=replace(Config().grid, levels=LEVELS))
 
 
-def example_problem(config: Config, partial: bool = False) -> Problem:
-    """A turning ellipsoid; ``partial``: one frame shows half of the surface."""
+def example_problem(config: Config, partial: bool = False, **how: Any) -> Problem:
+    """A turning ellipsoid; ``partial``: one frame shows half of the surface. ``how``: what else a problem is told."""
     moving = synthetic.turning_ellipsoid(FRAMES, POINTS, np.random.default_rng(0), subdivisions=SUBDIVISIONS)
     clouds, normals = moving.clouds, moving.normals
     if partial:
         seen = [cloud[:, 0] < (0.1 if t == FRAMES - 2 else 9.0) for t, cloud in enumerate(clouds)]
         clouds, normals = ([a[s] for a, s in zip(arrays, seen, strict=True)] for arrays in (clouds, normals))
     template = moving.vertices[KEYFRAME]
-    return Problem(clouds, normals, template, moving.faces, KEYFRAME, config, find_device("cpu"))
+    return Problem(clouds, normals, template, moving.faces, KEYFRAME, config, find_device("cpu"), **how)
+
+
+def noisy_problem(config: Config, seed: int = 0) -> Problem:
+    """The same, measured with wide noise."""
+    rng = np.random.default_rng(seed)
+    clouds = synthetic.turning_ellipsoid(FRAMES, POINTS, rng, subdivisions=SUBDIVISIONS).clouds
+    scattered = [Scattered(cloud + rng.normal(scale=0.1, size=cloud.shape), 0.1) for cloud in clouds]
+    return example_problem(config, scattered=scattered)
 
 
 def _counted(work: Callable[[], object]) -> Counted:
@@ -167,6 +193,20 @@ def count_all(partial: bool = False) -> dict[str, Counted]:
             "frame settled, a round": _counted(lambda: refinement.settle(KEYFRAME + 1, KEYFRAME, 1)),
             "round": _counted(refinement.run_round),
         }
+
+
+def count_rounds(problem: Problem, team: Team) -> dict[str, Counted]:
+    """Of a frame settled by one round, of a round, and of one that smooths in time, which may be the same."""
+    guide = Optimiser(problem, 9, team)
+    guide.finish()
+    refinement = Refinement(guide.objective, team)
+    refinement.start()
+    counts = {
+        "frame settled, a round": _counted(lambda: refinement.settle(KEYFRAME + 1, KEYFRAME, 1)),
+        "round": _counted(refinement.run_round),
+    }
+    refinement.done = refinement.config.iterations
+    return {**counts, "late round": _counted(refinement.run_round)}
 
 
 def table(counts: dict[str, Counted]) -> str:

@@ -11,11 +11,20 @@ import warp as wp
 from cubin import Resources, resources
 
 import warpdef.kernels
-from warpdef.kernels import block_cg, chains, sizes
+from warpdef.kernels import block_cg, chains, motion, sizes
 from warpdef.kernels.clusters import CLUSTER
 
 ARCHITECTURE = 90
 CHAIN_REGISTERS = 64
+REGISTERS = 128
+WIDE = {"descend_in_blocks": 255, "solve_levels_in_blocks": 255}
+"""Of 256 threads a block, of which a multiprocessor holds one: a line of nodes stays with its thread."""
+STACKS = {
+    "descend_in_blocks": 1024, "solve_levels_in_blocks": 1024, "nearby": 512, "closest_faces": 128, "local_planes": 96,
+    "fit_patches": 72, "fit_rotations": 72, "expected_places": 32, "advance": 32,
+}  # fmt: skip
+"""Bytes of arrays that a kernel indexes as it runs, or hands to Warp's functions by address. All else is spilt."""
+OLDER = 80
 
 
 def modules_with_kernels() -> dict[str, wp.Module]:
@@ -43,6 +52,24 @@ def compile_for_cuda(module: wp.Module, folder: Path) -> Path:
 def test_it_compiles(name: str, tmp_path: Path) -> None:
     binary = compile_for_cuda(modules_with_kernels()[name], tmp_path)
     assert binary.suffix == ".cubin" and binary.stat().st_size > 1000
+    for symbol, found in resources(binary).items():
+        kernel = symbol.split("__")[-1].lstrip("_").rsplit("_", 4)[0]
+        assert found.registers <= WIDE.get(kernel, REGISTERS) and found.stack <= STACKS.get(kernel, 0), (kernel, found)
+
+
+@pytest.mark.parametrize(
+    "module", [block_cg._solve_frames.module, chains._move_chains.module, motion._move_points.module]
+)
+def test_it_compiles_for_older_devices(module: wp.Module, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What asks for sm_90 has another form there. Of a cluster Warp takes one block on such a device, and says so of
+    code that is compiled for none."""
+    monkeypatch.setattr(wp._src.context, "_cluster_dim_target_status", lambda device, compiled: "ignored")
+    (text,) = wp.compile_aot_module(module, arch=OLDER, module_dir=tmp_path, use_ptx=True)
+    ptx = text.read_text(encoding="utf-8")
+    assert f".target sm_{OLDER}" in ptx
+    assert not any(word in ptx for word in ("barrier.cluster", "cluster_ctarank", "red.global.add.v4"))
+    (binary,) = wp.compile_aot_module(module, arch=OLDER, module_dir=tmp_path, use_ptx=False)
+    assert max(found.registers for found in resources(binary).values()) <= REGISTERS
 
 
 def test_no_file_with_kernels_is_missed() -> None:

@@ -74,7 +74,16 @@ def test_noisy_clouds_in_no_order_are_stiffened_by_patches(device: str, rng: np.
         run = Rounds(scene, shaken, device, 3, keyframe=0, time=0.0, **limits)
         assert run.stage.noise == 1.25 and run.stage.smoothness.weight == pytest.approx(4.0 * 25.0**1.25)
         found.append(run.vertices[1])
-    np.testing.assert_array_equal(*found)
+    apart = 0.0
+    if device != "cpu":
+        # A device adds up in any order: what that comes to is seen by rounding the start anew (test_refine_partial).
+        for seed in range(4):
+            last_bits = np.random.default_rng(seed).uniform(-1, 1, shaken.shape) * 2.0**-23
+            rounded = Rounds(scene, shaken * (1 + last_bits), device, 3, keyframe=0, time=0.0, **limits)
+            apart = max(apart, 3 * float(np.abs(rounded.vertices[1] - found[1]).max()))
+        assert apart < 1e-4
+    np.testing.assert_allclose(*found, rtol=0, atol=apart)
+    assert np.abs(found[0] - shaken[1]).max() > 1e-3
 
 
 def test_the_shape_is_faired_where_clouds_are_noisy_alone(device: str, rng: np.random.Generator) -> None:

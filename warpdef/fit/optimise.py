@@ -176,7 +176,7 @@ class Optimiser:
 
         A transition that arrived keeps the loss that it had then.
         """
-        for solver in self._solvers():
+        for solver in self._solvers() if self.config.chain else self._solvers()[:2]:  # a guide's template stays
             solver.look(self.solves)
         if not self.config.chain and self.done >= _FIRST_LOOK:
             self._moving.assign((self._guides & ~self.objective.input.arrived(_ARRIVED)).astype(np.int32))

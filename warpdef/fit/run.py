@@ -141,9 +141,10 @@ class FitRun:
         # Rotations follow from the rest, and no round follows one that is undone.
         good = {name: wp.clone(array) for name, array in r.state().items() if array.dtype is not wp.mat33}
         rounds = r.config.iterations
+        flag = wp.zeros(1, dtype=wp.int32, device=r.objective.problem.device)
         while r.done < rounds and not reason:
             r.run_round()
-            if not _finite(r.state()):
+            if not _finite(r.state(), flag):
                 self._warn(
                     f"round {r.done} of the vertex stage left the finite numbers and was undone; the result is that of "
                     f"round {r.done - 1}. Raise refine.damping",
@@ -227,9 +228,9 @@ class FitRun:
             self.tell(Progress("optimise", o.done, o.iterations, message=message))
 
 
-def _finite(state: dict[str, wp.array]) -> bool:
+def _finite(state: dict[str, wp.array], flag: wp.array) -> bool:
     """Whether all positions and directions in a state are finite; rotations follow from them."""
-    flag = wp.zeros(1, dtype=wp.int32, device=state["vertices"].device)
+    flag.zero_()
     for array in state.values():
         if array.dtype is wp.vec3:
             flag_not_finite(array, flag)

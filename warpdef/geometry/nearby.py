@@ -125,9 +125,10 @@ class Nearest:
 
             self._tree = cKDTree(targets)
             return
-        from warpdef.kernels.cells import PointGrid
+        from warpdef.kernels.cells import PointGrid, box_around
 
-        self._grid = PointGrid(_uploaded(targets, device), [len(targets)])
+        single = np.asarray(targets, dtype=np.float32)
+        self._grid = PointGrid(_uploaded(single, device), [len(targets)], box_around(single))
         self._grid.build()
 
     def query(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
