@@ -63,7 +63,7 @@ def test_it_compiles(name: str, tmp_path: Path) -> None:
 def test_it_compiles_for_older_devices(module: wp.Module, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What asks for sm_90 has another form there. Of a cluster Warp takes one block on such a device, and says so of
     code that is compiled for none."""
-    monkeypatch.setattr(wp._src.context, "_cluster_dim_target_status", lambda device, compiled: "ignored")
+    monkeypatch.setattr("warp._src.context._cluster_dim_target_status", lambda device, compiled: "ignored")
     (text,) = wp.compile_aot_module(module, arch=OLDER, module_dir=tmp_path, use_ptx=True)
     ptx = text.read_text(encoding="utf-8")
     assert f".target sm_{OLDER}" in ptx

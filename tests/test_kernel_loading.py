@@ -42,7 +42,7 @@ def test_what_is_listed_does_not_run() -> None:
 @pytest.mark.parametrize("partial", [False, True])
 def test_everything_that_runs_was_listed(chain: bool, partial: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """CUDA's way, on the CPU: iterations of both kinds, a look, the last move, a frame alone, a round."""
-    moving = synthetic.turning_ellipsoid(4, 200, np.random.default_rng(0), 1)
+    moving = synthetic.turning_ellipsoid(4, 400, np.random.default_rng(0), 1)
     if partial:
         moving.clouds[3], moving.normals[3] = (
             a[moving.clouds[3][:, 0] < 0.1] for a in (moving.clouds[3], moving.normals[3])
@@ -58,6 +58,7 @@ def test_everything_that_runs_was_listed(chain: bool, partial: bool, monkeypatch
 
     with going(Way.WHOLE), closing(Team(1)) as team:
         problem = Problem(moving.clouds, moving.normals, moving.vertices[1], moving.faces, 1, config, CPU)
+        assert problem.measures.complete.all() != partial
         optimiser = Optimiser(problem, 3, team)
         refinement = Refinement(optimiser.objective, team)
         listed = [*optimiser.kernels(), *refinement.kernels()]

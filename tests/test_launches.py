@@ -27,6 +27,7 @@ MORE_WHERE_SOME_IS_UNSEEN = 2
 
 @pytest.mark.parametrize("partial", [False, True])
 def test_launches_and_allocations_stay_within_bounds(partial: bool) -> None:
+    assert example_problem(small_grids(), partial).measures.complete.all() != partial
     counts = count_all(partial)
     assert set(counts) == set(BOUNDS)
     for name, (launches, allocations) in BOUNDS.items():
