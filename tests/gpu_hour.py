@@ -12,6 +12,7 @@ template; ``--data TRUTH.npz`` (vertices, faces) takes another one. Results stan
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 import os
 import signal
@@ -29,6 +30,7 @@ from hour_job import Job  # noqa: E402
 from warpdef.errors import WarpdefError  # noqa: E402
 
 LIMIT_S = 570.0
+_DEATH_OF_PARENT = 1  # PR_SET_PDEATHSIG
 TITLES = {
     "a": "driver, device, memory pools, compilation from nothing",
     "b": "adds to one address, nodes that do nothing",
@@ -91,6 +93,15 @@ def _environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
+def end_with_parent() -> None:
+    """A part ends with the program that began it, however that was ended, and with it all that it started itself."""
+    if os.getpgrp() != os.getpid():
+        return  # begun by hand: its group is not its own
+    signal.signal(signal.SIGTERM, lambda *_: os.killpg(os.getpgrp(), signal.SIGKILL))
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_DEATH_OF_PARENT, signal.SIGTERM)
+
+
 def _answer(letter: str, job: Job) -> None:
     found: dict[str, Any]
     try:
@@ -115,6 +126,7 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     job = Job(chosen.device, chosen.quick, chosen.out.resolve(), chosen.data)
     if chosen.part:
+        end_with_parent()
         _answer(chosen.part, job)
         return 0
     given = ["--device", chosen.device, "--out", str(job.folder)]

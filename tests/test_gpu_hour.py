@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import gpu_hour
@@ -87,6 +88,34 @@ def test_a_part_ends_with_its_time(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with pytest.raises(TimeoutError, match="not done after 1 s"):
         gpu_hour.run_apart("a", [], tmp_path, 1.0)
     assert time.monotonic() - begun < 30
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process of the end of its parent")
+def test_a_part_ends_with_the_program_that_began_it(tmp_path: Path) -> None:
+    """Killed, it can clear nothing up; what went on would write where the next attempt does."""
+    part, whole, told = tmp_path / "part.py", tmp_path / "whole.py", tmp_path / "told"
+    sees = f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}]; import gpu_hour\n"
+    part.write_text(
+        f"{sees}import subprocess, time\ngpu_hour.end_with_parent()\n"
+        f"open({str(told)!r}, 'w').write(str(subprocess.Popen(['sleep', '60']).pid) + '.')\ntime.sleep(60)\n"
+    )
+    whole.write_text(
+        f"{sees}from pathlib import Path\ngpu_hour.__file__ = {str(part)!r}\n"
+        f"gpu_hour.run_apart('a', [], Path({str(tmp_path)!r}))\n"
+    )
+    process = subprocess.Popen([sys.executable, str(whole)])
+    wait_for(lambda: told.exists() and told.read_text().endswith("."))
+    process.kill()
+    process.wait()
+    state = Path(f"/proc/{int(float(told.read_text()))}/stat")
+    wait_for(lambda: not state.exists() or state.read_text().rsplit(")", 1)[1].split()[0] == "Z")
+
+
+def wait_for(what: Callable[[], bool]) -> None:
+    end = time.monotonic() + 30
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 def test_a_part_that_dies_says_its_last_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
