@@ -266,7 +266,7 @@ BREAKS = [
           "what follows does not wait for the second branch"),
     Break("warpdef/fit/branches.py", "stream.wait_event(fork)", "pass", ("branches",),
           "a branch begins before what comes before it"),
-    Break("warpdef/fit/bending.py", "if self.fault(cloud, shared) < BETTER * left else near", "", ("bending",),
+    Break("warpdef/fit/bending.py", "if instead < BETTER * left else (near, left)", "", ("bending",),
           "shares are taken, better or not"),
     Break("warpdef/cleaning/order.py", "key=lambda b: (-(reach[b] + apart[t, b]), b)",
           "key=lambda b: (reach[b] + apart[t, b], b)", ("order",), "long branches of the walk first"),

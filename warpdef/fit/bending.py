@@ -107,6 +107,24 @@ class SeenCloud:
         )
 
 
+@dataclass(frozen=True)
+class _Sample:
+    """vertex: those that are matched (m,). faces: that touch them (f, 3), which alone tell their normals."""
+
+    vertex: np.ndarray
+    faces: np.ndarray
+
+    @classmethod
+    def of(cls, rest: np.ndarray, faces: np.ndarray, count: int) -> _Sample:
+        """At most ``count`` vertices of a mesh at rest, spread evenly."""
+        chosen = spread_evenly(rest, count)
+        return cls(chosen, faces[np.isin(faces, chosen).any(axis=1)])
+
+    def facing(self, placed: np.ndarray) -> np.ndarray:
+        """Normals at its vertices among all of them, placed (V, 3); elsewhere they mean nothing."""
+        return vertex_normals(placed, self.faces)
+
+
 class Bending:
     """A mesh at rest, (V, 3) with faces (F, 3) and edges (E, 2), and the graph that bends it."""
 
@@ -115,13 +133,13 @@ class Bending:
         self.graph = DeformationGraph.build(rest, edges, NODES)
         if is_watertight(faces):
             self.graph = self.graph.braced(rest, vertex_normals(rest, faces))
-        self._chosen, self._coarse, self._sharing = (spread_evenly(rest, count) for count in (POINTS, COARSE, SHARED))
+        self._chosen, self._coarse, self._sharing = (_Sample.of(rest, faces, n) for n in (POINTS, COARSE, SHARED))
         self._edges, self._lengths = edges, edge_lengths(rest, edges)
 
     @property
     def matched(self) -> np.ndarray:
         """Vertices that are matched, spread evenly; at most ``POINTS``."""
-        return self._chosen
+        return self._chosen.vertex
 
     def still(self) -> Pose:
         """The pose of the mesh at rest."""
@@ -139,7 +157,12 @@ class Bending:
         return self.graph.place(self.rest, pose)
 
     def onto(self, cloud: SeenCloud, start: Pose, usual: float = 0.0) -> Pose:
-        """The pose that brings the mesh onto a cloud, looked for from another by nearest points or, if better, shares.
+        """The pose that brings the mesh onto a cloud, looked for from another by nearest points or, if better, shares;
+        arguments as ``best``."""
+        return self.best(cloud, start, usual)[0]
+
+    def best(self, cloud: SeenCloud, start: Pose, usual: float = 0.0) -> tuple[Pose, float]:
+        """That pose and its fault.
 
         One way is enough where it leaves no more than the ``usual`` fault, that of the frame before: what no way could
         mend there is the shape's.
@@ -148,10 +171,11 @@ class Bending:
         near = self._by_nearest(cloud, near, SCHEDULE, self._chosen, start)
         left = self.fault(cloud, near)
         if left <= max(FAULTLESS, usual):
-            return near
+            return near, left
         shared = self._by_shares(cloud.thinned(SHARED), start)
         shared = self._by_nearest(cloud, shared, SCHEDULE, self._chosen, start)
-        return shared if self.fault(cloud, shared) < BETTER * left else near
+        instead = self.fault(cloud, shared)
+        return (shared, instead) if instead < BETTER * left else (near, left)
 
     def fault(self, cloud: SeenCloud, pose: Pose) -> float:
         """Shares of points uncovered, of vertices on the place of others, of edges stretched, and half of the share of
@@ -163,28 +187,28 @@ class Bending:
         from scipy.spatial import cKDTree
 
         placed, s = self.place(pose), cloud.spacing
-        facing = vertex_normals(placed, self.faces)
+        facing, chosen = self._chosen.facing(placed), self._chosen.vertex
         seen = np.column_stack([cloud.points, FACING * s * cloud.normals])
-        mesh = np.column_stack([placed, FACING * s * facing])[self._chosen]
+        mesh = np.column_stack([placed[chosen], FACING * s * facing[chosen]])
         away, asked = cKDTree(mesh).query(seen)
         met, asking = cKDTree(seen).query(mesh)
-        best = self._chosen[asked[asking]]
-        apart = np.linalg.norm(self.rest[best] - self.rest[self._chosen], axis=1)
-        beside = np.linalg.norm(placed[best] - placed[self._chosen], axis=1)
+        best = chosen[asked[asking]]
+        apart = np.linalg.norm(self.rest[best] - self.rest[chosen], axis=1)
+        beside = np.linalg.norm(placed[best] - placed[chosen], axis=1)
         double = (met < ON * s) & (apart > ELSEWHERE * beside + ON * s)
-        unseen = len(self._contradicted(cloud, placed, facing, self._chosen[met > ON * s], FULL_VIEW)[0])
+        unseen = len(self._contradicted(cloud, placed, facing, chosen[met > ON * s], FULL_VIEW)[0])
         shares = np.mean(away > ON * s), np.mean(double), stretched_share(placed, self._edges, self._lengths)
-        return float(sum(shares)) + 0.5 * unseen / len(self._chosen)
+        return float(sum(shares)) + 0.5 * unseen / len(chosen)
 
     def _by_shares(self, cloud: SeenCloud, start: Pose) -> Pose:
         """From a pose towards where vertices have their share of the points (``transport``), ever closer."""
         points, normals, s = cloud.points, cloud.normals, cloud.spacing
-        vertex = self._sharing
+        vertex = self._sharing.vertex
         own = mean_spacing(self.rest[vertex])
         pose, placed = start, self.place(start)
         for blur, reach, rigidity, steps in SHARES:
             for _ in range(steps):
-                facing = vertex_normals(placed, self.faces)
+                facing = self._sharing.facing(placed)
                 cost = transport_cost(placed[vertex] / s, facing[vertex], points / s, normals, TURN)
                 plan = partial_transport(cost, (own / s) ** 2, 1.0, blur**2, reach**2)
                 weight = plan.sum(axis=1)
@@ -208,20 +232,20 @@ class Bending:
         cloud: SeenCloud,
         start: Pose,
         schedule: tuple[tuple[float, float, int], ...],
-        chosen: np.ndarray,
+        sample: _Sample,
         usual: Pose | None = None,
     ) -> Pose:
         """From a pose by nearest neighbours; what has none stays bent as in the ``usual`` pose, or where it starts."""
         from scipy.spatial import cKDTree
 
         pose, turned, bend = start, FACING * cloud.spacing, self.graph.bend(self.rest, usual or start)
-        placed = self.place(pose)
+        placed, chosen = self.place(pose), sample.vertex
         seen = np.column_stack([cloud.points, turned * cloud.normals])
         tree = cKDTree(seen)
         for reach, rigidity, steps in schedule:
             for _ in range(steps):
-                facing = vertex_normals(placed, self.faces)
-                mesh = np.column_stack([placed, turned * facing])[chosen]
+                facing = sample.facing(placed)
+                mesh = np.column_stack([placed[chosen], turned * facing[chosen]])
                 asked = chosen[cKDTree(mesh).query(seen)[1]]
                 asking = tree.query(mesh)[1]
                 vertex = np.concatenate([asked, chosen])

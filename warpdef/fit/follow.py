@@ -121,9 +121,8 @@ class _Walk:
             if self.stopped():
                 break
             if bending is not None:
-                cloud = self._seen_cloud(target)
-                poses[target] = bending.onto(cloud, poses[source], usual)
-                usual = faults[target] = bending.fault(cloud, poses[target])
+                poses[target], usual = bending.best(self._seen_cloud(target), poses[source], usual)
+                faults[target] = usual
                 self.objective.vertices[target].assign(bending.place(poses[target]).astype(np.float32))
             else:
                 assert self.starts is not None
