@@ -8,7 +8,6 @@ from warpdef.config import Config
 from warpdef.cube_clouds import CubeClouds
 from warpdef.fit.growing import template_of_all
 from warpdef.fit.saving import Saved
-from warpdef.geometry.viewpoint import seen_normals
 from warpdef.mesh import TriMesh
 from warpdef.template.build import sheet_note
 from warpdef.template.choose import ChosenTemplate, accept_user_template, choose_template
@@ -50,12 +49,7 @@ def _own_template(clouds: CubeClouds, config: Config) -> ChosenTemplate:
     sequence, view, note = clouds.calm, clouds.view, ""
     points, normals = clouds.points_of_all(), sequence.all_normals()
     if view is not None and config.template.grow and not sequence.order:
-        neighbours = config.template.neighbours
-        sides = [
-            n if n is not None else seen_normals(p, view, neighbours) if len(p) else p
-            for p, n in zip(points, normals, strict=True)
-        ]
-        chosen, note = template_of_all(points, sides, config, view)
+        chosen, note = template_of_all(points, normals, config, view)
         if chosen is not None:
             return chosen
     # Keyframe Selection: the frame with most surface near the middle, and screened Poisson on it.

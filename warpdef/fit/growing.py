@@ -20,11 +20,12 @@ from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.fit.embedded import Pose
 from warpdef.fit.hidden import bent_as_shown
-from warpdef.fit.surfels import SeenFrame, Surfels, nearest_facing
+from warpdef.fit.surfels import MATCHED, SeenFrame, Surfels, nearest_facing
 from warpdef.geometry.cloud_planes import unit_vectors
 from warpdef.geometry.coverage import area_of_discs
 from warpdef.geometry.sampling import mean_spacing, spread_evenly
 from warpdef.geometry.triangles import unique_edges, vertex_normals
+from warpdef.geometry.viewpoint import seen_normals
 from warpdef.mesh import TriMesh
 from warpdef.template.build import build, depth_by_spacing
 from warpdef.template.choose import ChosenTemplate
@@ -72,14 +73,25 @@ def measure_turn(frames: dict[int, SeenFrame]) -> float:
     return float(np.degrees(np.arccos(np.clip(directions @ directions.T, -1.0, 1.0)).max()))
 
 
+def _seen_frame(points: np.ndarray, given: np.ndarray | None, view: np.ndarray, neighbours: int) -> SeenFrame:
+    return SeenFrame(points, seen_normals(points, view, neighbours) if given is None else given, view)
+
+
+def _sampled_frame(points: np.ndarray, given: np.ndarray | None, view: np.ndarray, neighbours: int) -> SeenFrame:
+    """Of it the points that are matched, which are enough for a rigid motion."""
+    some = spread_evenly(points, MATCHED)
+    sides = seen_normals(points, view, neighbours, asked=some) if given is None else given[some]
+    return SeenFrame(points[some], sides, view)
+
+
 def template_of_all(
-    clouds: Sequence[np.ndarray], normals: Sequence[np.ndarray], config: Config, view: np.ndarray
+    clouds: Sequence[np.ndarray], normals: Sequence[np.ndarray | None], config: Config, view: np.ndarray
 ) -> tuple[ChosenTemplate | None, str]:
     """The template of all frames that one camera saw, with its places in all of them; and a note on what they show.
 
     Args:
         clouds: T arrays (N_t, 3), cube units; empty where a frame has no points.
-        normals: theirs, unit, on the camera's side. view: unit vector towards the camera, (3,).
+        normals: theirs, unit, on the camera's side; None: estimated. view: unit vector towards the camera, (3,).
         config: the whole configuration.
 
     Returns:
@@ -89,19 +101,17 @@ def template_of_all(
         InputError: the keyframe asked for does not exist.
         MissingPackageError: the library for the reconstruction is not there.
     """
-    frames = {
-        t: SeenFrame(points, sides, view)
-        for t, (points, sides) in enumerate(zip(clouds, normals, strict=True))
-        if len(points) >= POINTS_LEAST
-    }
-    if len(frames) < 2:
+    asked = [t for t, points in enumerate(clouds) if len(points) >= POINTS_LEAST]
+    if len(asked) < 2:
         return None, ""
-    degrees = measure_turn(frames)
+    how = view, config.template.neighbours
+    degrees = measure_turn({t: _sampled_frame(clouds[t], normals[t], *how) for t in asked})
     turns = f"one camera saw all frames, and the body turns by {degrees:.0f} degrees before it"
     if degrees < TURN_PAYS:
         little = "only one side is ever seen" if degrees < ONE_SIDE else "too little for a template of all frames"
         return None, f"{turns}: {little}"
-    keyframe, why = _middle_frame(clouds, sorted(frames), config)
+    keyframe, why = _middle_frame(clouds, asked, config)
+    frames = {t: _seen_frame(clouds[t], normals[t], *how) for t in asked}
     growth = _Growth(frames, keyframe)
     lost = growth.follow_all()
     if lost is not None:

@@ -13,15 +13,18 @@ if TYPE_CHECKING:
     import warp as wp
 
 
-def pca_normals(points: np.ndarray, neighbours: int = 16, device: wp.Device | None = None) -> np.ndarray:
+def pca_normals(
+    points: np.ndarray, neighbours: int = 16, device: wp.Device | None = None, asked: np.ndarray | None = None
+) -> np.ndarray:
     """Unit normals of the planes through each point's neighbours, shape (N, 3) float64; their sign means nothing.
 
     Args:
         points: shape (N, 3), any units.
         neighbours: points a plane is fitted to, the point itself among them; at most N are used.
         device: where they are looked for; None: on the host, without Warp.
+        asked: only of these points, (Q,), on the host; None: of all.
     """
-    return Fellows(points, max(neighbours, 4), device=device).planes()[0]
+    return Fellows(points, max(neighbours, 4), device=device, asked=asked).planes()[0]
 
 
 def turned_to(normals: np.ndarray, side: np.ndarray) -> np.ndarray:

@@ -28,13 +28,23 @@ class Fellows:
         count: of neighbours, the point itself among them; at most N are found. A tree answers beyond 64.
         every: only of each so manieth point.
         device: where to search; None: on the host, without Warp.
+        asked: only of these points, (Q,), on the host; None: of all.
 
     index: of the K neighbours of each of Q points, shape (Q, K).
     distance: to each of them, shape (Q, K) float64, the points' unit.
     """
 
-    def __init__(self, points: np.ndarray, count: int, every: int = 1, device: wp.Device | None = None) -> None:
-        self._points, self._every, self._device = points, every, device
+    def __init__(
+        self,
+        points: np.ndarray,
+        count: int,
+        every: int = 1,
+        device: wp.Device | None = None,
+        asked: np.ndarray | None = None,
+    ) -> None:
+        if device is not None and asked is not None:
+            raise ValueError(f"asked: expected None on a device, got {len(asked)} points")
+        self._points, self._every, self._device, self._asked = points, every, device, asked
         self._count = min(count, len(points))
         self.index, self.distance = self._by_tree(points) if device is None else self._on_device(device)
 
@@ -106,7 +116,8 @@ class Fellows:
     def _by_tree(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         from scipy.spatial import cKDTree
 
-        distance, index = cKDTree(points).query(points[:: self._every], k=np.arange(1, self._count + 1))
+        places = points[:: self._every] if self._asked is None else points[self._asked]
+        distance, index = cKDTree(points).query(places, k=np.arange(1, self._count + 1))
         return index, distance
 
 

@@ -64,9 +64,16 @@ def viewing_direction(clouds: Sequence[np.ndarray]) -> np.ndarray | None:
     return best if bulge > 0 else -best
 
 
-def seen_normals(points: np.ndarray, view: np.ndarray, neighbours: int, device: wp.Device | None = None) -> np.ndarray:
-    """Unit normals of local planes, shape (N, 3), on the side of ``view``, shape (3,)."""
-    return turned_to(pca_normals(points, neighbours, device), np.broadcast_to(view, points.shape))
+def seen_normals(
+    points: np.ndarray,
+    view: np.ndarray,
+    neighbours: int,
+    device: wp.Device | None = None,
+    asked: np.ndarray | None = None,
+) -> np.ndarray:
+    """Unit normals of local planes, shape (N, 3), on the side of ``view``, shape (3,); arguments as ``pca_normals``."""
+    normals = pca_normals(points, neighbours, device, asked)
+    return turned_to(normals, np.broadcast_to(view, normals.shape))
 
 
 def camera_place(clouds: Sequence[np.ndarray], direction: np.ndarray) -> np.ndarray:
