@@ -52,6 +52,7 @@ class Coverage:
     unseen:    share of the surface that the frame does not show, far or not
     far_faces: share of each face farther than ``FAR`` lengths from all      (F,)
     areas:     of the faces, input units squared                             (F,)
+    normals:   of the vertices, unit                                         (V, 3)
     """
 
     residual: np.ndarray
@@ -66,6 +67,7 @@ class Coverage:
     unseen: float
     far_faces: np.ndarray
     areas: np.ndarray
+    normals: np.ndarray
 
     @property
     def uncovered(self) -> float:
@@ -104,8 +106,7 @@ def doubled_vertices(
         return np.einsum("nk,nki->ni", weights, values[corners])
 
     now, then = (np.linalg.norm(there(x) - x[near], axis=1) for x in (vertices, shape))
-    normals = vertex_normals(vertices, faces)
-    cosine = (there(normals) * normals[near]).sum(axis=1)
+    cosine = (there(coverage.normals) * coverage.normals[near]).sum(axis=1)
     apart = then > _APART * now + coverage.length[point]
     hidden, layered = np.zeros((2, len(vertices)), dtype=bool)
     hidden[near] = apart & ~coverage.seen[near]
@@ -147,7 +148,8 @@ def measure_coverage(
     twice = np.linalg.norm(normal, axis=1)
     areas = 0.5 * twice
     normal /= np.maximum(twice, np.finfo(float).tiny)[:, None]
-    same_side = np.einsum("vi,vi->v", vertex_normals(vertices, faces), normal[face[nearest]]) > OTHER_SIDE
+    normals = vertex_normals(vertices, faces)
+    same_side = np.einsum("vi,vi->v", normals, normal[face[nearest]]) > OTHER_SIDE
     far = distance > reach
 
     far_faces = far[faces].mean(axis=1)
@@ -160,7 +162,8 @@ def measure_coverage(
     seen = beside & same_side & ~far
     unseen = _mean_by_area(np.maximum(far_faces, (~seen)[faces].mean(axis=1)), areas)
     away = distance / length[nearest]
-    return Coverage(residual, length, spacing, noise, face, weights, nearest, away, seen, unseen, far_faces, areas)
+    of_mesh = far_faces, areas, normals
+    return Coverage(residual, length, spacing, noise, face, weights, nearest, away, seen, unseen, *of_mesh)
 
 
 def _by_tree(device: wp.Device) -> bool:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpdef.geometry.triangles import vertex_normals
 from warpdef.geometry.viewpoint import Picture
 from warpdef.quality.coverage import FAR, Coverage
 
@@ -32,7 +31,7 @@ def exposed_share(
         points: shape (N, 3). vertices: shape (V, 3). faces: shape (F, 3). coverage: of these.
         eye: place of the camera, (3,), the same units.
     """
-    facing = (vertex_normals(vertices, faces) * (eye - vertices)).sum(axis=1) > 0.0
+    facing = (coverage.normals * (eye - vertices)).sum(axis=1) > 0.0
     towards = np.flatnonzero(facing & (coverage.away > FAR))
     exposed = np.zeros(len(vertices))
     if len(towards):
@@ -52,7 +51,7 @@ def spanning_share(
         eye: place of the camera, (3,), the same units.
     """
     towards = eye - vertices
-    steep = (vertex_normals(vertices, faces) * towards).sum(axis=1) < _TOWARDS * np.linalg.norm(towards, axis=1)
+    steep = (coverage.normals * towards).sum(axis=1) < _TOWARDS * np.linalg.norm(towards, axis=1)
     asked = np.flatnonzero((coverage.away > FAR) & ~steep)
     spanning = np.zeros(len(vertices))
     if len(asked):

@@ -20,7 +20,7 @@ import numpy as np
 from warpdef.geometry.borders import border_points
 from warpdef.geometry.cloud_planes import pca_normals
 from warpdef.geometry.coverage import JUDGED
-from warpdef.geometry.triangles import boundary_edges, vertex_areas, vertex_components, vertex_normals
+from warpdef.geometry.triangles import boundary_edges, vertex_areas, vertex_components
 from warpdef.quality.coverage import FAR, OTHER_SIDE, Coverage
 
 CLOSED = 0.9
@@ -50,10 +50,9 @@ def overhang_share(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, 
     contour = np.unique(edge[far[edge]])
     point = coverage.nearest[contour]
     # Across a flat body the points of the other side are near, which say nothing of this one.
-    facing = (vertex_normals(vertices, faces)[contour] * _face_normals(vertices, faces[coverage.face[point]])).sum(
-        axis=1
-    )
-    closing = ~border_points(points, pca_normals(points))[point] & (facing > OTHER_SIDE)
+    facing = (coverage.normals[contour] * _face_normals(vertices, faces[coverage.face[point]])).sum(axis=1)
+    asked, which = np.unique(point, return_inverse=True)
+    closing = ~border_points(points, pca_normals(points, asked=asked), asked)[which] & (facing > OTHER_SIDE)
     hanging = 0.0
     for number in np.unique(patch[contour]):
         around = patch[contour] == number
