@@ -18,6 +18,7 @@ import numpy as np
 
 from warpdef.cloud import SPACING_NEIGHBOURS
 from warpdef.geometry.closest import closest_on_surface
+from warpdef.geometry.edges import squared_lengths
 from warpdef.geometry.nearby import Fellows, Nearest
 from warpdef.geometry.noise import noise_level
 from warpdef.geometry.triangles import vertex_normals
@@ -154,7 +155,8 @@ def measure_coverage(
 
     far_faces = far[faces].mean(axis=1)
     # Of a face longer than the reach the middle may be far where its corners are not: a web between two limbs.
-    longest_sq = np.max([((corners[:, k - 1] - corners[:, k]) ** 2).sum(axis=1) for k in range(3)], axis=0)
+    ends = np.ascontiguousarray(faces.T)
+    longest_sq = np.max([squared_lengths(vertices, ends[k - 1], ends[k]) for k in range(3)], axis=0)
     wide = np.flatnonzero(longest_sq > (FAR * np.median(length)) ** 2)
     if len(wide):
         middle, near = query(corners[wide].mean(axis=1))
