@@ -139,8 +139,7 @@ class _Walk:
     def _bend_back(self, inner: int, outer: int, poses: dict[int, Pose], faults: dict[int, float]) -> None:
         """A frame that one camera saw from the pose of the one behind it, if that leaves ``HALF`` of its fault."""
         cloud, enough = self._seen_cloud(inner), HALF * faults[inner]
-        pose = self.bending.onto(cloud, poses[outer], enough)
-        left = self.bending.fault(cloud, pose)
+        pose, left = self.bending.best(cloud, poses[outer], enough)
         if left < enough:
             poses[inner], faults[inner] = pose, left
             self.objective.vertices[inner].assign(self.bending.place(pose).astype(np.float32))
