@@ -11,6 +11,9 @@ from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.embedding import EmbeddedMesh
 
 
+Matches = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
 def graph_of(count: int, apart: bool = False) -> tuple[DeformationGraph, np.ndarray]:
     vertices, faces = icosphere(2)
     rest, edges = vertices.astype(np.float64) * [1.0, 0.6, 0.3], unique_edges(faces)
@@ -24,7 +27,7 @@ def random_pose(count: int, rng: np.random.Generator) -> Pose:
     return Pose(rotations(0.4 * rng.normal(size=(count, 3))), 0.1 * rng.normal(size=(count, 3)))
 
 
-def matches(rest: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+def matches(rest: np.ndarray, count: int, rng: np.random.Generator) -> Matches:
     """Some vertices several times."""
     chosen = rng.integers(len(rest), size=count)
     normal = rng.normal(size=(count, 3))
