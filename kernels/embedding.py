@@ -8,34 +8,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpdef.kernels.embedding_serial import BlockOrder, step_nodes_serially
-from warpdef.kernels.launching import MODULE_OPTIONS, launch
-from warpdef.kernels.sizes import sizes
-
-wp.set_module_options(MODULE_OPTIONS)
-
-
-@sizes("threads: V; rest placed_out: V; index weight: V K; anchor rotation shift: N")
-@wp.kernel
-def _place(
-    # In:
-    begin: int,
-    rest: wp.array[wp.vec3d],
-    index: wp.array2d[wp.int32],
-    weight: wp.array2d[wp.float64],
-    anchor: wp.array[wp.vec3d],
-    rotation: wp.array[wp.mat33d],
-    shift: wp.array[wp.vec3d],
-    # Out:
-    placed_out: wp.array[wp.vec3d],
-):
-    """One thread a vertex."""
-    v = begin + wp.tid()
-    placed = wp.vec3d()
-    for k in range(index.shape[1]):
-        j = index[v, k]
-        placed += weight[v, k] * (rotation[j] * (rest[v] - anchor[j]) + anchor[j] + shift[j])
-    placed_out[v] = placed
+from warpdef.kernels.embedding_serial import BlockOrder, place_vertices, step_nodes_serially
+from warpdef.kernels.launching import launch
 
 
 class EmbeddedMesh:
@@ -65,7 +39,7 @@ class EmbeddedMesh:
         count = len(self._rest)
         placed = wp.empty(count, dtype=wp.vec3d, device="cpu")
         nodes = [self._anchor, _on_host(rotation, wp.mat33d), _vectors(shift)]
-        launch(_place, count, [0, self._rest, self._index, self._weight, *nodes, placed], placed.device)
+        launch(place_vertices, count, [0, self._rest, self._index, self._weight, *nodes, placed], placed.device)
         return placed.numpy()
 
     def step(

@@ -1,4 +1,4 @@
-"""A Gauss-Newton step of the nodes of an embedded mesh, as one CPU core does it best: from matches to moves.
+"""Places of an embedded mesh, and a Gauss-Newton step of its nodes as one CPU core does it best: matches to moves.
 
 A step turns each node by a small rotation and shifts it, six unknowns, so that its matrix consists of blocks (6, 6),
 one for every pair of nodes that share a vertex or a link. It is symmetric and positive definite: in a good order of the
@@ -277,3 +277,26 @@ def step_nodes_serially(
         rest, index, weight, link, anchor, place, start, row, of_vertices, of_links, rotation, shift, chosen, goal,
         normal, match_weight, tangential, stiffness, usual, move_out,
     )  # fmt: skip
+
+
+@sizes("threads: V; rest placed_out: V; index weight: V K; anchor rotation shift: N")
+@wp.kernel
+def place_vertices(
+    # In:
+    begin: int,
+    rest: wp.array[wp.vec3d],
+    index: wp.array2d[wp.int32],
+    weight: wp.array2d[wp.float64],
+    anchor: wp.array[wp.vec3d],
+    rotation: wp.array[wp.mat33d],
+    shift: wp.array[wp.vec3d],
+    # Out:
+    placed_out: wp.array[wp.vec3d],
+):
+    """One thread a vertex."""
+    v = begin + wp.tid()
+    placed = wp.vec3d()
+    for k in range(index.shape[1]):
+        j = index[v, k]
+        placed += weight[v, k] * (rotation[j] * (rest[v] - anchor[j]) + anchor[j] + shift[j])
+    placed_out[v] = placed

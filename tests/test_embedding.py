@@ -10,7 +10,6 @@ from warpdef.fit.embedded import DeformationGraph, Pose, _cross_matrix, rotation
 from warpdef.geometry.triangles import unique_edges
 from warpdef.kernels.embedding import EmbeddedMesh
 
-
 Matches = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
