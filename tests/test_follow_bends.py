@@ -72,12 +72,9 @@ class _Told:
     def still(self) -> tuple[int, ...]:
         return ()
 
-    def onto(self, cloud: int, start: tuple[int, ...], enough: float) -> tuple[int, ...]:
+    def best(self, cloud: int, start: tuple[int, ...], usual: float) -> tuple[tuple[int, ...], float]:
         self.bends.append((cloud, *start))
-        return (cloud, *start)
-
-    def fault(self, cloud: int, pose: tuple[int, ...]) -> float:
-        return self.faults.get(pose, 0.02)
+        return self.bends[-1], self.faults.get(self.bends[-1], 0.02)
 
     def place(self, pose: tuple[int, ...]) -> np.ndarray:
         return np.full((len(BODY.vertices[0]), 3), float(len(pose)))
