@@ -33,9 +33,13 @@ class Material:
         So squares of strains become sizes (iteratively reweighted least squares), of a vertex over all frames together.
         """
         if done in self._after:
-            places, vertices, rotation = self._moving
-            strains(0, len(places), *self._edges, places, rotation, vertices, self._strain)
+            self.measure()
             self.stiffness.assign(stiffness_of(self._strain.numpy()))
+
+    def measure(self) -> None:
+        """The mean square strain, as the vertices are."""
+        places, vertices, rotation = self._moving
+        strains(0, len(places), *self._edges, places, rotation, vertices, self._strain)
 
 
 def stiffness_of(strain_sq: np.ndarray) -> np.ndarray:

@@ -93,6 +93,8 @@ class Refinement:
         with listing() as alone:
             self.shape.take()
             self.objective.chain.move_one(0, 0, self.problem.vertex_count)
+            if self.material is not None:
+                self.material.measure()
         return [*alone, *(self._smooth_round or self._round).kernels()]
 
     def prepare(self) -> None:
