@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -56,6 +57,20 @@ def test_no_other_room_asks_a_device_what_it_is() -> None:
         if re.search(r"\.is_(cpu|cuda)\b", line)
     ]
     assert found == []
+
+
+def test_nothing_lands_on_a_default_device() -> None:
+    """Which is the first CUDA device where there is one, whatever was asked for. A mesh goes where its arrays are."""
+    made = ("array", "zeros", "ones", "full", "empty", "ScopedCapture", "synchronize")
+    calls = [
+        (node, path)
+        for folder in ("kernels", "warpdef", "apps")
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in [f"wp.{name}" for name in made]
+    ]
+    assert len(calls) > 100
+    assert [f"{p.name}:{c.lineno}" for c, p in calls if "device" not in [k.arg for k in c.keywords]] == []
 
 
 def turning(rng: np.random.Generator) -> synthetic.Synthetic:
