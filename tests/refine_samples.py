@@ -13,6 +13,7 @@ from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
 from warpdef.fit.refine import Refinement
 from warpdef.fit.workers import Team
+from warpdef.geometry.denoise import Scattered
 
 AXES = np.array([0.6, 0.45, 0.35])
 
@@ -97,14 +98,16 @@ class Rounds:
         normals: list[np.ndarray] | None = None,
         oriented: list[bool] | None = None,
         times: list[int] | None = None,
+        scattered: list[Scattered] | None = None,
         **refine,
     ) -> None:
         config = Config()
         config = replace(config, grid=replace(config.grid, levels=2), refine=replace(config.refine, **refine))
         normals, on = normals or scene.normals, wp.get_device(device)
         self.problem = p = Problem(
-            scene.clouds, normals, vertices[keyframe], scene.faces, keyframe, config, on, oriented, times=times
-        )
+            scene.clouds, normals, vertices[keyframe], scene.faces, keyframe, config, on, oriented, times=times,
+            scattered=scattered,
+        )  # fmt: skip
         team = Team(threads)
         try:
             # The stage takes over where the grids end; here they never began.

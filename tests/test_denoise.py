@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from refine_samples import MovingEllipsoid, Rounds
 
 import warpdef
 from warpdef.cleaning.wide_noise import noise_facts, noise_note, without_wide_noise
 from warpdef.config import Config
+from warpdef.cube_clouds import CubeClouds
+from warpdef.errors import InputError
+from warpdef.fit.measures import mean_edge_length
 from warpdef.geometry.cloud_normals import estimate_normals
-from warpdef.geometry.denoise import POINTS, denoised, noise_if_wide
+from warpdef.geometry.denoise import POINTS, Scattered, denoised, noise_if_wide
+from warpdef.geometry.triangles import unique_edges
 from warpdef.prepare import clean
 from warpdef.sequence import PointSequence, Similarity
+from warpdef.starting_template import find_template
+from warpdef.template.keyframe import rank_keyframes
 
 NOISE = 0.08
 
@@ -113,6 +122,39 @@ def test_sides_given_are_replaced_and_told_or_kept() -> None:
         assert facts["deviation"] == pytest.approx(NOISE, rel=0.3)
         assert facts["share"] == pytest.approx(facts["deviation"] / np.ptp(np.concatenate(clouds), axis=0).max())
         assert noise_note(facts).endswith(ending)
+
+
+@pytest.mark.parametrize(("noise", "given"), [(0.0, "given"), (NOISE, "calm")])
+def test_the_keyframe_of_noisy_clouds_is_one_of_the_middle(
+    noise: float, given: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Noise fills voxels by chance: the first frame, which fills a few more, is taken of clean clouds alone."""
+    clouds = [ellipsoid(2500 if t else 2600, noise, t) for t in range(9)]
+    asked = CubeClouds.of(PointSequence.from_arrays(clouds), Config())
+    assert (asked.scattered is not None) == (noise > 0)
+    told = []
+
+    def choose(*args: Any) -> None:
+        told.extend(args)
+        raise InputError("no template")
+
+    monkeypatch.setattr("warpdef.starting_template.choose_template", choose)
+    with pytest.raises(InputError, match="no template"):
+        find_template(asked, None, Config())
+    points, _, config, *_, source = told
+    assert source == given
+    assert (rank_keyframes(points, config.keyframe)[0].frame in (3, 4, 5)) == (noise > 0)
+
+
+@pytest.mark.parametrize(("edges", "tied"), [(1.1, True), (1.3, False)])
+def test_rotations_are_tied_up_to_noise_as_wide_as_edges_are_long(edges: float, tied: bool) -> None:
+    """And patches are off by chance in proportion."""
+    scene = MovingEllipsoid.make(5, 400, np.random.default_rng(0))
+    noise = edges * mean_edge_length(scene.body, unique_edges(scene.faces))
+    scattered = [Scattered(cloud, noise) for cloud in scene.clouds]
+    stage = Rounds(scene, scene.vertices, "cpu", 0, scattered=scattered).stage
+    assert bool(stage._tie) == tied
+    assert stage.smoothness._shares[2] == pytest.approx(0.2 * noise)
 
 
 def test_trusted_normals_are_left_as_they_are() -> None:

@@ -103,6 +103,9 @@ def test_inverted_normals_are_turned_over_and_told(rng):
     assert triangles.signed_volume(built.mesh.vertices, built.mesh.faces) > 0
     assert built.report.flipped == len(points)
     assert "600 of 600 given normals pointed inwards" in built.warnings[0]
+    calm = building.build(points, -normals, SMALL, source="calm")
+    assert "600 of 600 normals estimated from the noisy cloud pointed inwards" in calm.warnings[0]
+    assert calm.mesh.vertices.tobytes() == built.mesh.vertices.tobytes()
 
 
 def test_a_second_body_gets_a_piece_of_its_own_and_crumbs_are_left_out(rng):

@@ -288,9 +288,11 @@ class RefineConfig:
     rotation_smoothness: float = 1.0
     """Weight that ties a vertex's rotation to its neighbours', so that turns spread; 0 for none.
 
-    Of what one camera saw, and where noise is wider than the spacing, nothing is tied."""
+    Of what one camera saw, and where noise is wider than 1.2 edges, nothing is tied."""
     material: bool = True
-    """Learn from all frames where the surface strains most, and hold it less there; where rotations may be tied."""
+    """Learn from all frames where the surface strains most, and hold it less there.
+
+    Not of what one camera saw, nor where noise is wider than the spacing."""
     clean_thickness: float = 0.3
     """Local thickness over width of a cloud (16 neighbours) up to which it counts as clean."""
     noisy_thickness: float = 0.55

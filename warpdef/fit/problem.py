@@ -129,6 +129,11 @@ class Problem:
         """Of the points across their surface, cube units, where that is wider than they stand apart; else 0."""
         return float(self._noise[frame]) if self.scattered is not None else 0.0
 
+    @property
+    def wide_noise(self) -> float:
+        """The same of most frames."""
+        return float(np.median(self._noise)) if self.scattered is not None else 0.0
+
     def _lay_template(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         # Vertices travel in Morton order; `place` takes results back to the template's own order.
         order = morton_order(vertices)

@@ -44,6 +44,7 @@ from warpdef.kernels.vectors import add_scaled
 
 _FREE = 0.6  # share of the rounds before places are smoothed in time: what has not arrived yet is not to be held
 _FREE_LESS = 0.4  # less at noise 1, where patches settle before vertices do
+_TIED = 1.2  # edges: noise up to which rotations of neighbours are tied
 _SETTLED = 8  # rounds after which a frame shows whether it lost a limb
 
 
@@ -67,9 +68,9 @@ class Refinement:
         device, shape = p.device, (p.frame_count, p.vertex_count)
         self.noise = noise_of(p.measures.thickness, c)
         self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
-        # What one camera saw is held by the bent template, and points that scatter by patches.
-        alike = p.scattered is None and not p.seen
-        self._tie = c.rotation_smoothness if alike else 0.0
+        # What one camera saw is held by the bent template, and points that scatter widely by patches.
+        tied = not p.seen and p.wide_noise <= _TIED * p.edge_length
+        self._tie = c.rotation_smoothness if tied else 0.0
         self.rotation, self._matrix = (wp.zeros(shape, dtype=wp.mat33, device=device) for _ in range(2))
         borrow = p.pool.borrower()
         self._rhs, self._move, *scratch = (borrow(wp.vec3, shape) for _ in range(4))
@@ -79,7 +80,8 @@ class Refinement:
         self.shape = RestShape(p, objective.vertices, self.rotation, self.noise, self.unseen.trust)
         moving = self.shape.places, objective.vertices, self.rotation
         self.smoothness = Smoothness(p, moving, self.noise, tuple(scratch))
-        self.material = Material(p, moving, c.iterations) if alike and c.material else None
+        learnt = c.material and p.scattered is None and not p.seen
+        self.material = Material(p, moving, c.iterations) if learnt else None
         self._edges = p.integers(p.mesh.row), p.integers(p.mesh.column)
         self._solver = BlockSolver(p.mesh, p.frame_count, c.tolerance, c.iterations_max, device)
         self.solves = SolveReport("block cg")

@@ -28,6 +28,7 @@ CUBE_SIDE = 2.2  # of the lattice around points that fill [-1, 1]^3
 FLAT_CELLS = 2.0  # of the lattice, thickness of a cloud below which ...
 ASKEW = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0  # ... it is turned by this
 BARE_SHEET = 4.0  # and from which there is no body that it might be the front of
+_REPAIRED = {"given": "given normals", "calm": "normals estimated from the noisy cloud"}  # by source, in words
 LEFT_OUT_WARN = 0.02  # share of the surface in components that were dropped
 
 
@@ -158,7 +159,8 @@ def draft(
         normals: shape (N, 3), unit length; clearly inverted ones are turned over. None: estimated.
         config: method, depth, screening, the kind of surface and the number of faces.
         backend: from ``load_backend``; None: the configured one.
-        source: of the normals: ``seen`` ones have the side of a camera, ``trusted`` ones that of a user, beyond doubt.
+        source: of the normals: ``seen`` ones have the side of a camera, ``trusted`` ones that of a user, beyond doubt;
+            ``calm`` ones were estimated as the noise was taken off the points, and are repaired as given ones are.
         frames: of the sequence, all of which tell the shape.
 
     Raises:
@@ -171,10 +173,10 @@ def draft(
     flipped = 0
     if normals is None:
         normals, source = estimate_normals(points, config.neighbours), "estimated"
-    elif source == "given":
+    elif source in _REPAIRED:
         normals, flipped = repair_normals(points, normals, config.neighbours)
         if flipped > FLIPPED_WARN * len(points):
-            warnings.append(f"{flipped} of {len(points)} given normals pointed inwards and were turned over")
+            warnings.append(f"{flipped} of {len(points)} {_REPAIRED[source]} pointed inwards and were turned over")
 
     # Both libraries get the same, harmless size, whatever the units.
     centre = (points.min(axis=0) + points.max(axis=0)) / 2

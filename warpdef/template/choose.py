@@ -50,6 +50,7 @@ def choose_template(
     config: Config,
     view: np.ndarray | None = None,
     places: np.ndarray | None = None,
+    given: str = "given",
 ) -> ChosenTemplate:
     """Build templates on the best keyframes, in order, until one passes the quality gate and has no handle.
 
@@ -68,6 +69,7 @@ def choose_template(
         config: the whole configuration; ``seed``, ``keyframe`` and ``template`` matter here.
         view: shape (3,), towards the one camera that saw all clouds, which tells the side of normals; None: no such.
         places: as in ``rank_keyframes``.
+        given: what ``normals`` are: ``given`` ones, or, of clouds whose noise was taken off, ``calm`` (``draft``).
 
     Raises:
         InputError: the keyframe asked for does not exist, or no surface came out of any frame tried.
@@ -78,7 +80,7 @@ def choose_template(
     attempts = []
     for candidate in candidates:
         if normals[candidate.frame] is not None:
-            attempts.append((candidate, "trusted" if config.trust_normals else "given"))
+            attempts.append((candidate, "trusted" if config.trust_normals else given))
             if config.trust_normals:
                 continue
         attempts.append((candidate, "estimated" if view is None else "seen"))
@@ -93,7 +95,7 @@ def choose_template(
         if _cost(frame, 0, len(clouds)) >= least:
             continue  # it could not be better
         try:
-            sides = normals[frame] if source in ("given", "trusted") else None
+            sides = normals[frame] if source in (given, "trusted") else None
             if view is not None and source == "seen":
                 sides = seen_normals(clouds[frame], view, config.template.neighbours)
             chosen = drafts.begin(draft(clouds[frame], sides, config.template, backend, source, filled), candidate)
@@ -113,7 +115,7 @@ def choose_template(
         if passed:
             continue  # what else is built now only competes for fewer handles
         failed.append(chosen)
-        if source == "given" and chosen.report.flipped <= FLIPPED_WARN * len(clouds[frame]):
+        if source == given and chosen.report.flipped <= FLIPPED_WARN * len(clouds[frame]):
             attempts.pop(0)  # the given normals are not to blame
         reasons = " and ".join(gate.failures)
         warnings.append(f"keyframe {frame} failed the template gate: {reasons}{_next(frame, attempts)}")
