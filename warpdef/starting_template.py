@@ -13,7 +13,6 @@ from warpdef.template.build import sheet_note
 from warpdef.template.choose import ChosenTemplate, accept_user_template, choose_template
 
 _TORN = 0.25  # share beyond the points: noise of 2 % leaves 0.1 over a body; of an open sheet half and more
-_MIDDLE_IN_NOISE = 10.0  # times as much as else the middle counts: voxels that noise fills tell frames apart by chance
 
 
 def find_template(
@@ -31,7 +30,7 @@ def find_template(
     if saved is not None:
         # A mesh that is to be put in place was put there by that run.
         return saved.template(None if config.template.align else mine, clouds.measured.numbers)
-    config = config if clouds.scattered is None else _in_noise(config)
+    config = config if clouds.scattered is None else _torn_by_noise(config)
     if given is None or mine is None:
         return _own_template(clouds, config)
     chosen = accept_user_template(mine, clouds.points_of_all(), config)
@@ -39,12 +38,10 @@ def find_template(
     return replace(chosen, warnings=[*notes, *chosen.warnings])
 
 
-def _in_noise(config: Config) -> Config:
-    """For templates of noisy clouds: these leave holes over a closed body, which are no borders; and what a frame shows
-    says less of it than its place in time, for errors grow on the way outwards."""
-    far, gamma = max(config.template.far_share_max, _TORN), _MIDDLE_IN_NOISE * config.keyframe.gamma
-    keyframe, template = replace(config.keyframe, gamma=gamma), replace(config.template, far_share_max=far)
-    return replace(config, keyframe=keyframe, template=template)
+def _torn_by_noise(config: Config) -> Config:
+    """For templates of noisy clouds: these leave holes over a closed body, which are no borders."""
+    far = max(config.template.far_share_max, _TORN)
+    return replace(config, template=replace(config.template, far_share_max=far))
 
 
 def _own_template(clouds: CubeClouds, config: Config) -> ChosenTemplate:
@@ -56,9 +53,9 @@ def _own_template(clouds: CubeClouds, config: Config) -> ChosenTemplate:
         if chosen is not None:
             return chosen
     # Keyframe Selection: the frame with most surface near the middle, and screened Poisson on it.
-    calm = clouds.noise is not None and clouds.noise["normals"] == "estimated"
-    chosen = choose_template(points, normals, config, view, sequence.places, "calm" if calm else "given")
-    if calm:
+    noise = "" if clouds.noise is None else str(clouds.noise["normals"])
+    chosen = choose_template(points, normals, config, view, sequence.places, noise)
+    if noise == "estimated":
         chosen = replace(chosen, report=replace(chosen.report, normals="estimated"))
     if not note:
         return replace(chosen, why=f"{chosen.why}{sheet_note(chosen.report)}")

@@ -50,7 +50,7 @@ def choose_template(
     config: Config,
     view: np.ndarray | None = None,
     places: np.ndarray | None = None,
-    given: str = "given",
+    noise: str = "",
 ) -> ChosenTemplate:
     """Build templates on the best keyframes, in order, until one passes the quality gate and has no handle.
 
@@ -69,14 +69,15 @@ def choose_template(
         config: the whole configuration; ``seed``, ``keyframe`` and ``template`` matter here.
         view: shape (3,), towards the one camera that saw all clouds, which tells the side of normals; None: no such.
         places: as in ``rank_keyframes``.
-        given: what ``normals`` are: ``given`` ones, or, of clouds whose noise was taken off, ``calm`` (``draft``).
+        noise: of clouds whose wide noise was taken off, whose side ``normals`` have: ``estimated``, or ``kept``.
 
     Raises:
         InputError: the keyframe asked for does not exist, or no surface came out of any frame tried.
         MissingPackageError: the library for the reconstruction is not there.
     """
     backend, filled = load_backend(config.template.backend), sum(len(cloud) > 0 for cloud in clouds)
-    candidates = spread_out(rank_keyframes(clouds, config.keyframe, places, view), config.template.attempts)
+    ranked = rank_keyframes(clouds, config.keyframe, places, view, bool(noise))
+    candidates, given = spread_out(ranked, config.template.attempts), "calm" if noise == "estimated" else "given"
     attempts = []
     for candidate in candidates:
         if normals[candidate.frame] is not None:

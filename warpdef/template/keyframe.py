@@ -13,6 +13,7 @@ from warpdef.geometry.coverage import area_and_objects, complete_frames, objects
 
 SAMPLE = 2500  # points of a frame from which its area and its objects are told
 PICTURE_SHARE = 0.1  # least share of the points that is an object in a picture: a foot has 0.04 of a person's
+_MIDDLE_IN_NOISE = 10.0  # times as much the middle counts there
 SPREAD = 0.12  # of the frames: how far apart in time further keyframes should be
 
 
@@ -64,6 +65,7 @@ def rank_keyframes(
     config: KeyframeConfig,
     places: np.ndarray | None = None,
     view: np.ndarray | None = None,
+    noisy: bool = False,
 ) -> list[KeyframeCandidate]:
     """Candidates, best first: all frames for ``auto``, one for ``first``, ``middle`` or an index.
 
@@ -79,6 +81,8 @@ def rank_keyframes(
         places: of the frames where these are in no order, (T,), to be near the middle of; None: their times.
         view: towards the one camera that saw all clouds, (3,): a part in front of another is no object of its own,
             though it hangs together with nothing, so that objects are told in the picture.
+        noisy: whether noise is wide: voxels that it fills differ by chance, and errors grow on the way outwards, so
+            that the order, not the score, takes the weight to the power of ten.
 
     Raises:
         InputError: an index that is not a frame of the sequence, or one without points.
@@ -105,7 +109,10 @@ def rank_keyframes(
         weight = float(np.exp(-gamma * (places[frame] - middle) ** 2))
         score = occupied * weight
         scored.append(KeyframeCandidate(frame, occupied, weight, score, float(seen), bool(full), int(apart), ""))
-    scored.sort(key=lambda c: (*c.standing, -c.score, abs(places[c.frame] - middle), c.frame))
+    middling = _MIDDLE_IN_NOISE if noisy else 1.0
+    scored.sort(
+        key=lambda c: (*c.standing, -c.occupied_voxels * c.weight**middling, abs(places[c.frame] - middle), c.frame)
+    )
     full = [c for c in scored if c.full]
     ranked = []
     for rank, candidate in enumerate(scored):
