@@ -109,10 +109,9 @@ def rank_keyframes(
         weight = float(np.exp(-gamma * (places[frame] - middle) ** 2))
         score = occupied * weight
         scored.append(KeyframeCandidate(frame, occupied, weight, score, float(seen), bool(full), int(apart), ""))
-    middling = _MIDDLE_IN_NOISE if noisy else 1.0
-    scored.sort(
-        key=lambda c: (*c.standing, -c.occupied_voxels * c.weight**middling, abs(places[c.frame] - middle), c.frame)
-    )
+    power = _MIDDLE_IN_NOISE if noisy else 1.0
+    worth = {c.frame: c.occupied_voxels * c.weight**power for c in scored}
+    scored.sort(key=lambda c: (*c.standing, -worth[c.frame], abs(places[c.frame] - middle), c.frame))
     full = [c for c in scored if c.full]
     ranked = []
     for rank, candidate in enumerate(scored):
