@@ -28,7 +28,6 @@ _REACH = _SIDE + 0.5  # usual steps in time up to which they are: a parabola doe
 _OWN_LEFT_OUT = 0.5  # share of a vertex's own smooth motion that is given up at noise 1
 _COURSE = 0.5  # share in which the patches' own motion is smoothed at noise 1: limbs accelerate, and that must stay
 _CHANCE = 0.08  # of an edge: so far patches of clean clouds are off an even course by chance; 0 at noise 1
-_CHANCE_NOISY = 0.2  # of noise that is wider than the spacing: so far patches of such clouds are
 _FIRMER = 3.0  # times as firmly again are vertices held where their course is even
 _ALONE = 4.0  # weight where there is no time to be smooth in, before it is stiffened
 _STIFFENING = 25.0  # factor on the weight at noise 1
@@ -58,8 +57,6 @@ class Smoothness:
         # Of noisy clouds what a vertex does on its own is mostly noise, and so is part of what its neighbourhood does.
         share = min(noise, 1.0)
         chance = _CHANCE * p.edge_length * (1.0 - share) if ordered else 0.0
-        if p.scattered is not None:
-            chance = _CHANCE_NOISY * p.wide_noise * float(ordered)
         self._shares = 1.0 - _OWN_LEFT_OUT * share, _COURSE * share, chance, _FIRMER
         self.weight *= _STIFFENING**noise
         index, weight = patches_of(p.template, p.edges.numpy())
