@@ -241,13 +241,15 @@ class CosineSolver:
     def descend(
         self, first: int, last: int, rate: wp.array, schedule: wp.array, betas: tuple[float, float], epsilon: float,
         adj_x: wp.array, moments: tuple[wp.array, wp.array], u: wp.array, adj_u_out: wp.array, x_out: wp.array,
+        moving: wp.array | None = None,
     ) -> None:  # fmt: skip
         """A step of the descent for transitions ``first .. last``: both solves with Adam between, ``adj_x`` cleared.
 
         Args:
             rate, schedule, betas, epsilon: see ``adam.adam``. moments: first and second. All others shape (S, M) node8.
+            moving: shape (S,) int32, 0 for transitions that stay as they are; None: none does.
         """
         require_span("transitions", first, last - first, len(u))
-        inputs = [first, last - first, *self._tables, rate, schedule, *betas, epsilon]
+        inputs = [first, last - first, *self._tables, rate, schedule, *betas, epsilon, moving]
         arrays = [adj_x, *moments, u, adj_u_out, x_out]
         launch(descend_in_blocks, (last - first) * len(self._lambdas), [*inputs, *arrays], self._device, self._lanes)

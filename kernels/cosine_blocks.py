@@ -176,7 +176,7 @@ def solve_levels_in_blocks(
 
 @sizes(
     "threads: S*L; first_transition: <S; levels: 2*L; lambdas half_offset eigenvalue_offset: L; halves: H; "
-    f"eigenvalues: E; rate: R; schedule: {SCHEDULE_SIZE}; adj_x first second u adj_u_out x_out: S M"
+    f"eigenvalues: E; rate: R; schedule: {SCHEDULE_SIZE}; moving: S?; adj_x first second u adj_u_out x_out: S M"
 )
 @wp.kernel(**block_options(LANES))
 def descend_in_blocks(
@@ -194,6 +194,7 @@ def descend_in_blocks(
     beta1: float,
     beta2: float,
     epsilon: float,
+    moving: wp.array[wp.int32],
     # In and out: the gradient, then 0
     adj_x: wp.array2d[node8],
     # In and out: Adam's moments, and what it moves
@@ -204,20 +205,31 @@ def descend_in_blocks(
     adj_u_out: wp.array2d[node8],
     x_out: wp.array2d[node8],
 ):
-    """One block a level of a transition, as ``solve_levels_in_blocks``, with ``adam`` between two solves."""
+    """One block a level of a transition, as ``solve_levels_in_blocks``, with ``adam`` between two solves.
+
+    Of a transition that does not move any more the gradient alone is cleared.
+    """
     k = wp.tid() // lanes()
     s = first_transition + k % transitions
     level = lambdas.shape[0] - 1 - k // transitions
     weight = lambdas[level]
-    solve_level_shared(s, level, levels, weight, halves, half_offset, eigenvalues, eigenvalue_offset, adj_x, adj_u_out)
+    going = bool(True)  # the same in all lanes
+    if moving.shape[0] > 0:
+        going = moving[s] != 0
+    if going:
+        solve_level_shared(
+            s, level, levels, weight, halves, half_offset, eigenvalues, eigenvalue_offset, adj_x, adj_u_out
+        )
     n = levels[2 * level]
     begin = levels[2 * level + 1]
     for i in range(begin + lane(), begin + n * n * n, lanes()):
-        share = rate[i % rate.shape[0]]
-        adam_step(i, share, schedule, beta1, beta2, epsilon, adj_u_out[s], first[s], second[s], u[s])
+        if going:
+            share = rate[i % rate.shape[0]]
+            adam_step(i, share, schedule, beta1, beta2, epsilon, adj_u_out[s], first[s], second[s], u[s])
         adj_x[s, i] = node8()
-    wait()
-    solve_level_shared(s, level, levels, weight, halves, half_offset, eigenvalues, eigenvalue_offset, u, x_out)
+    if going:
+        wait()
+        solve_level_shared(s, level, levels, weight, halves, half_offset, eigenvalues, eigenvalue_offset, u, x_out)
 
 
 def padded_halves(matrix: np.ndarray) -> np.ndarray:

@@ -228,7 +228,7 @@ class Optimiser:
         grids, everything = self.grids, (0, len(self.problem.transitions))
         spans = [span for span in self.problem.transition_spans() if self._guides[slice(*span)].any()]
         if not grids.direct:
-            last = [Phase("descend", [partial(grids.step, a, b) for a, b in spans])]
+            last = [Phase("descend", [partial(grids.step, a, b, self._moving) for a, b in spans])]
         else:
             last = [
                 Phase("gradient solves", [partial(grids.solve_gradient, *everything)], direct=True),

@@ -70,13 +70,16 @@ class Parameters:
         """x from u."""
         self.value_solver.solve(self.u, self.x, first, last)
 
-    def step(self, first: int, last: int) -> None:
-        """All three for the grids of transitions ``first .. last``, in one launch where the solver can."""
+    def step(self, first: int, last: int, moving: wp.array | None = None) -> None:
+        """All three for the grids of transitions ``first .. last``, in one launch where the solver can.
+
+        There those of them stay that ``moving``, (S,) int32, has 0 for; else the caller leaves them out.
+        """
         at_once = getattr(self.gradient_solver, "descend", None)
         if at_once is not None:
             c, moments = self._config, (self.first_moment, self.second_moment)
             how = (self._rate, self._schedule, (c.beta1, c.beta2), c.epsilon)
-            at_once(first, last, *how, self.adj_x, moments, self.u, self.adj_u, self.x)
+            at_once(first, last, *how, self.adj_x, moments, self.u, self.adj_u, self.x, moving)
             return
         self.solve_gradient(first, last)
         self.descend_grids(first, last)
