@@ -29,6 +29,7 @@ FLAT_CELLS = 2.0  # of the lattice, thickness of a cloud below which ...
 ASKEW = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0  # ... it is turned by this
 BARE_SHEET = 4.0  # and from which there is no body that it might be the front of
 _REPAIRED = {"given": "given normals", "calm": "normals estimated from the noisy cloud"}  # by source, in words
+CELLS_AN_EDGE = 4.0  # of the octree: with more it shows what the mesh cannot
 LEFT_OUT_WARN = 0.02  # share of the surface in components that were dropped
 
 
@@ -182,7 +183,8 @@ def draft(
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     scale = float((points.max(axis=0) - points.min(axis=0)).max()) / 2
     unit_points = (points - centre) / scale
-    depth = config.depth or depth_by_spacing(unit_points)
+    target = max(config.faces_most(len(points), frames), 20)
+    depth = config.depth or depth_by_spacing(unit_points, target)
     # Flatter than two cells it would lie in the lattice's own plane, where contours tear: it is put askew.
     turn = ASKEW if np.ptp(unit_points, axis=0).min() < FLAT_CELLS * CUBE_SIDE / 2**depth else np.eye(3)
     placed = unit_points @ turn, normals @ turn
@@ -200,7 +202,6 @@ def draft(
     vertices, faces, left_out = _keep_objects(vertices, faces, unit_points)
     if left_out > LEFT_OUT_WARN:
         warnings.append(f"{left_out:.0%} of the reconstructed surface lies in separate pieces and was left out")
-    target = max(config.faces_most(len(points), frames), 20)
     support, trimming = None, None
     if config.surface != "closed":
         support = Support.of(unit_points, normals)
@@ -255,13 +256,19 @@ def _keep_objects(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -
     return *triangles.compact(vertices, faces[stays]), float(areas[~stays].sum() / max(areas.sum(), 1e-300))
 
 
-def depth_by_spacing(points: np.ndarray) -> int:
+def depth_by_spacing(points: np.ndarray, faces: int = 0) -> int:
     """The depth whose octree cells are about as large as the mean nearest-neighbour distance, from 3 to 12.
+
+    Of a cloud far denser than the mesh of ``faces`` (0: of any number) that it becomes, as large as a quarter of that
+    mesh's edges: finer ones cost four times as much a step, and show handles where a body touches itself.
 
     Deeper trees follow the noise: on a person's 5,000 points with noise of 0.5 % of the diagonal, depth 8 made no
     handle and depth 10 up to eight, and both lay equally near the true surface.
     """
     spacing = mean_spacing(points)
+    # That of random points is half the root of a point's area; a face has the area of so many of them.
+    edge = 2.0 * spacing * np.sqrt(4.0 / np.sqrt(3.0) * len(points) / faces) if faces else 0.0
+    spacing = max(spacing, edge / CELLS_AN_EDGE)
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
     # Both libraries leave a tenth of the extent around the points.
     return int(np.clip(np.ceil(np.log2(1.1 * extent / max(spacing, 1e-12))), 3, 12))
