@@ -126,11 +126,11 @@ def test_depth_follows_the_spacing_and_an_explicit_depth_is_kept(rng):
 
 
 def test_a_cloud_far_denser_than_its_mesh_gets_no_finer_cells_than_that(rng):
-    sparse, dense = ball(rng, 2000)[0], ball(rng, 32_000)[0]
+    sparse, dense = (ball(rng, count, (1.0, 1.0, 1.0))[0] for count in (2000, 80_000))
     assert building.depth_by_spacing(sparse, 2000) == building.depth_by_spacing(sparse)
     coarse = building.depth_by_spacing(dense, 2000)
-    assert coarse == building.depth_by_spacing(dense) - 2
-    area = np.pi * 2.0**2  # of a ball that fills the lattice
+    assert coarse < building.depth_by_spacing(dense)
+    area = 4.0 * np.pi
     cell, edge = 2.2 / 2**coarse, np.sqrt(4 / np.sqrt(3) * area / 2000)
     assert 0.5 <= cell / (edge / building.CELLS_AN_EDGE) <= 1.0
 

@@ -29,7 +29,7 @@ FLAT_CELLS = 2.0  # of the lattice, thickness of a cloud below which ...
 ASKEW = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0  # ... it is turned by this
 BARE_SHEET = 4.0  # and from which there is no body that it might be the front of
 _REPAIRED = {"given": "given normals", "calm": "normals estimated from the noisy cloud"}  # by source, in words
-CELLS_AN_EDGE = 4.0  # of the octree: with more it shows what the mesh cannot
+CELLS_AN_EDGE = 8.0  # of the octree: with more it shows what the mesh cannot
 LEFT_OUT_WARN = 0.02  # share of the surface in components that were dropped
 
 
@@ -259,7 +259,7 @@ def _keep_objects(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -
 def depth_by_spacing(points: np.ndarray, faces: int = 0) -> int:
     """The depth whose octree cells are about as large as the mean nearest-neighbour distance, from 3 to 12.
 
-    Of a cloud far denser than the mesh of ``faces`` (0: of any number) that it becomes, as large as a quarter of that
+    Of a cloud far denser than the mesh of ``faces`` (0: of any number) that it becomes, as large as an eighth of that
     mesh's edges: finer ones cost four times as much a step, and show handles where a body touches itself.
 
     Deeper trees follow the noise: on a person's 5,000 points with noise of 0.5 % of the diagonal, depth 8 made no
