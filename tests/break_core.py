@@ -185,6 +185,7 @@ BREAKS = [
           "what was bent is kept, better or not"),
     Break("warpdef/fit/follow.py", "if left < enough:", "if True:", ("follow_bends",),
           "what one camera saw is bent back, better or not"),
+    Break("warpdef/fit/follow.py", "cost(frame) - GAIN)", "cost(frame))", ("sliding",), "any slide is kept"),
     Break("warpdef/fit/follow.py", "if config.recover and judged:", "if config.recover:",
           ("follow", "follow_bends"),
           "incomplete frames are judged lost and bent"),

@@ -53,6 +53,39 @@ def test_rounds_match_the_twin(scene: MovingEllipsoid, shaken: np.ndarray, devic
     assert run.stage.done == 2
 
 
+@pytest.mark.parametrize("tie", [0.0, 1.0, 4.0])
+def test_a_frame_settled_alone_matches_the_twin(
+    scene: MovingEllipsoid, shaken: np.ndarray, device: str, tie: float
+) -> None:
+    """From its neighbour's rotations, and tied as all frames together are; the shape stays the keyframe's."""
+    limits = {"tolerance": 1e-6, "iterations_max": 300, "clean_thickness": 8.0, "noisy_thickness": 9.0}
+    run = Rounds(scene, shaken, device, 0, keyframe=2, rotation_smoothness=tie, **limits)
+    c, edges = run.stage.config, unique_edges(scene.faces)
+    x = shaken.astype(np.float32).astype(np.float64)
+    y, x, near = x[2], x[[3]], run.rotation[[1]].astype(np.float64)
+    rotation = twin.fit_rotations(x, y, edges, tie, near)
+    for _ in range(2):
+        x, _, rotation = twin.refine_round(x, y, rotation, edges, scene.faces, scene.clouds[3:], scene.normals[3:], c)
+    run.stage.settle(3, 1, 2)
+    p, moved = run.problem, np.abs(x - shaken[3]).max()
+    assert moved > 0.02
+    np.testing.assert_allclose(run.objective.placed_vertices()[3], x[0], rtol=0, atol=1e-4 * moved)
+    np.testing.assert_allclose(run.stage.rotation.numpy()[3, p.place], rotation[0], rtol=0, atol=1e-4)
+
+
+def test_of_an_open_sheet_frames_alone_are_not_tied(scene: MovingEllipsoid, shaken: np.ndarray, device: str) -> None:
+    """Its waves would be held back; all frames together are."""
+    sheet = replace(scene, faces=scene.faces[(scene.body[:, 2] < 0.1)[scene.faces].all(axis=1)])
+    together = [Rounds(sheet, shaken, device, 2, rotation_smoothness=tie).vertices for tie in (0.0, 4.0)]
+    assert np.abs(together[0] - together[1]).max() > 1e-3
+    alone = [Rounds(sheet, shaken, device, 0, rotation_smoothness=tie) for tie in (0.0, 4.0)]
+    for run in alone:
+        run.stage.settle(3, 2, 3)
+    free, tied = (run.objective.placed_vertices()[3] for run in alone)
+    assert np.abs(free - shaken[3]).max() > 0.02
+    np.testing.assert_array_equal(free, tied)
+
+
 def test_the_start_takes_the_keyframes_shape_and_moves_nothing(
     scene: MovingEllipsoid, shaken: np.ndarray, device: str
 ) -> None:

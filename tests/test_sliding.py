@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import synthetic
+import warp as wp
 
+from warpdef.fit import follow
 from warpdef.fit.bending import Bending, SeenCloud
 from warpdef.fit.recover import Cloud
-from warpdef.fit.sliding import END, Hanging, far_share, slide
+from warpdef.fit.sliding import END, GAIN, Hanging, far_share, slide
 from warpdef.geometry.closest import closest_on_surface
 from warpdef.geometry.triangles import unique_edges
 
@@ -63,3 +67,33 @@ def test_an_open_sheet_has_the_side_of_the_mesh_nearby(there, side: float) -> No
     _, faces = wavy_strip()
     found = Cloud(points, normals, given=False, oriented=False).turned_outwards(vertices, faces[:, :: int(side)])
     assert ((side * normals * found.normals).sum(axis=1) > 0.0).mean() > 0.99 and found.oriented
+
+
+@pytest.mark.parametrize("gain", [-0.1, 0.0, 0.9 * GAIN, 1.1 * GAIN, 0.1])
+def test_a_slide_is_kept_only_where_it_is_worth_it(there, monkeypatch: pytest.MonkeyPatch, gain: float) -> None:
+    """A frame that hangs over by a hair, and slides for less than that is worth, goes back to the bit."""
+    vertices, points, normals = there
+    over, faces = wavy_strip(0.4)
+    far, walk = [0.2], object.__new__(follow._Walk)
+
+    def settle(frame: int, neighbour: int) -> None:
+        far[0] = 0.2 - gain
+
+    monkeypatch.setattr(follow, "slide", lambda bending, cloud, start: start)
+    walk.problem = SimpleNamespace(noise_of=lambda frame: 0.0, faces=faces)
+    walk.objective = SimpleNamespace(vertices=[wp.array(over, dtype=wp.vec3, device="cpu")])
+    walk.search = SimpleNamespace(
+        vertices=[over], far=lambda *asked: far[0], uncovered=lambda frame: 0.0, place=lambda *placed: None
+    )
+    walk._clouds, walk.bent, walk._settle = [Cloud(points, normals, True, True)], set(), settle
+    walk._edges, walk._lengths = (
+        (edges := unique_edges(faces)),
+        np.linalg.norm(np.diff(over[edges], axis=1)[:, 0], axis=1),
+    )
+    walk._hanging = SimpleNamespace(told=lambda *asked: True)
+    walk.bending = SimpleNamespace(pose_of=lambda at: at, place=lambda pose: vertices)
+    walk._slide(0, 0)
+    kept = gain > GAIN
+    assert walk.bent == ({0} if kept else set())
+    expected = (vertices if kept else over).astype(np.float32)
+    np.testing.assert_array_equal(walk.objective.vertices[0].numpy(), expected)

@@ -288,7 +288,8 @@ class RefineConfig:
     rotation_smoothness: float = 1.0
     """Weight that ties a vertex's rotation to its neighbours', so that turns spread; 0 for none.
 
-    Of what one camera saw, and where noise is wider than 1.2 edges, nothing is tied."""
+    Of what one camera saw, and where noise is wider than 1.2 edges, nothing is tied; of an open sheet, and where noise
+    is wider than the spacing, a frame alone is not."""
     material: bool = True
     """Learn from all frames where the surface strains most, and hold it less there.
 

@@ -28,7 +28,7 @@ from warpdef.fit.objective import Objective
 from warpdef.fit.problem import span
 from warpdef.fit.recover import Cloud, ConnectedSurface, Search
 from warpdef.fit.refine import Refinement
-from warpdef.fit.sliding import END, WORTH, Hanging, slide
+from warpdef.fit.sliding import END, GAIN, WORTH, Hanging, slide
 from warpdef.geometry.cloud_planes import turned_to
 from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.nearby import Nearest
@@ -225,7 +225,7 @@ class _Walk:
             return self._misfit(frame) + self.search.far(frame, END, noise)
 
         pose = slide(self.bending, SeenCloud.of(cloud.points, cloud.normals), self.bending.pose_of(vertices))
-        self._attempt(frame, neighbour, self.bending.place(pose), cost, cost(frame))
+        self._attempt(frame, neighbour, self.bending.place(pose), cost, cost(frame) - GAIN)
 
     @cached_property
     def _hanging(self) -> Hanging:

@@ -71,6 +71,9 @@ class Refinement:
         # What one camera saw is held by the bent template, and points that scatter widely by patches.
         tied = not p.seen and p.wide_noise <= _TIED * p.edge_length
         self._tie = c.rotation_smoothness if tied else 0.0
+        # Of a frame alone: points that scatter tell too little, and an open sheet is cloth, whose waves would be held back
+        # (a flag's CD 6.1 for 3).
+        self._tie_alone = self._tie if p.scattered is None and p.border is None else 0.0
         self.rotation, self._matrix = (wp.zeros(shape, dtype=wp.mat33, device=device) for _ in range(2))
         borrow = p.pool.borrower()
         self._rhs, self._move, *scratch = (borrow(wp.vec3, shape) for _ in range(4))
@@ -110,7 +113,7 @@ class Refinement:
     def start(self) -> None:
         """Take the vertices as they are: the shape is the keyframe's, normals of doubtful side get the mesh's side."""
         self.shape.take()
-        self._fit_rotations(0, self.problem.frame_count, tied=True)
+        self._fit_rotations(0, self.problem.frame_count, self._tie)
         self.pairing.choose_sides()
 
     def run_round(self) -> None:
@@ -162,7 +165,7 @@ class Refinement:
         wp.copy(frame_of(self.rotation, frame), frame_of(self.rotation, neighbour))
         if self.unseen:
             self.unseen.stay(frame)
-        self._fit_rotations(frame, frame + 1)
+        self._fit_rotations(frame, frame + 1, self._tie_alone)
         for _ in range(rounds):
             self._fit_frames(frame, frame + 1)
 
@@ -226,24 +229,23 @@ class Refinement:
         stiffness = self._stiffness if together else None
         moving = self.shape.places, self.rotation, o.vertices
         rigid_rhs(begin, count, self.rigidity, *self._edges, *moving, self._rhs, stiffness)
-        self._solve(first, last, stiffness, together)
+        self._solve(first, last, self._tie if together else self._tie_alone, stiffness)
 
     def _smooth_frames(self, first: int, last: int) -> None:
         """Solve for the moves to places that are smooth in time, by the matrix of the pairs just met, and turn."""
         self.smoothness.hold(first, last, self._matrix, self._rhs)
-        self._solve(first, last, self._stiffness)
+        self._solve(first, last, self._tie, self._stiffness)
 
-    def _solve(self, first: int, last: int, stiffness: wp.array | None, tied: bool = True) -> None:
-        """Move by what matrix and right-hand side ask for, and turn, ``tied`` to the neighbours."""
+    def _solve(self, first: int, last: int, tie: float, stiffness: wp.array | None) -> None:
+        """Move by what matrix and right-hand side ask for, and turn, tied to the neighbours."""
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
         weights = self.rigidity, self.config.damping
         self._solver.solve(first, last, *weights, self._matrix, self._rhs, self._move, stiffness)
         add_scaled(begin, count, 1.0, self._move.flatten(), self.objective.vertices.flatten())
-        self._fit_rotations(first, last, tied)
+        self._fit_rotations(first, last, tie)
 
-    def _fit_rotations(self, first: int, last: int, tied: bool = False) -> None:
+    def _fit_rotations(self, first: int, last: int, tie: float) -> None:
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
-        tie = self._tie if tied else 0.0  # a frame alone is not: the gallop's would fold in the groin (CD 0.292)
         scratch = (self._rhs, self._move) if tie else None  # neither is needed any more
         moving = self.shape.places, self.objective.vertices, self.rotation
         fit_rotations(begin, count, *self._edges, *moving, tie, scratch)

@@ -33,6 +33,9 @@ HANGING, SURPLUS = 0.003, 0.01
 WORTH = 0.003
 """Share of the vertices ``END`` spacings from all points below which neither is asked for."""
 
+GAIN = 0.005
+"""Share by which a slide must better a frame to be kept: what hangs over by a hair is not worth its way so far."""
+
 
 class Hanging:
     """How a frame is told to hang over: by its cloud, and by what the keyframe's shows of the mesh there.
