@@ -71,8 +71,8 @@ class Refinement:
         # What one camera saw is held by the bent template, and points that scatter widely by patches.
         tied = not p.seen and p.wide_noise <= _TIED * p.edge_length
         self._tie = c.rotation_smoothness if tied else 0.0
-        # Of a frame alone: points that scatter tell too little, and an open sheet is cloth, whose waves would be held back
-        # (a flag's CD 6.1 for 3).
+        # Of a frame alone: points that scatter tell too little, and an open sheet is cloth, whose waves would be
+        # held back (a flag's CD 6.1 for 3).
         self._tie_alone = self._tie if p.scattered is None and p.border is None else 0.0
         self.rotation, self._matrix = (wp.zeros(shape, dtype=wp.mat33, device=device) for _ in range(2))
         borrow = p.pool.borrower()
