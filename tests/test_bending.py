@@ -278,7 +278,7 @@ def test_a_frame_that_matches_do_not_find_is_bent_from_its_neighbours_pose(monke
     assert np.quantile(closest_on_surface(clouds[1], placed, faces)[0], 0.95) < 0.02
 
 
-def open_refinement(eye: np.ndarray | None, team: Team) -> tuple[Refinement, Problem]:
+def open_refinement(eye: np.ndarray | None, team: Team, **refine: int) -> tuple[Refinement, Problem]:
     """The upper half of a moving ellipsoid, seen from above or all around, in three frames."""
     turning = synthetic.turning_ellipsoid(3, 3000, np.random.default_rng(0), subdivisions=3)
     shown = [normals @ EYE > 0.1 for normals in turning.normals]
@@ -289,11 +289,42 @@ def open_refinement(eye: np.ndarray | None, team: Team) -> tuple[Refinement, Pro
     place = np.zeros(upper.sum(), dtype=np.int32)
     place[used] = np.arange(len(used))
     vertices = turning.vertices[1][upper][used]
-    config = replace(Config(), grid=replace(Config().grid, levels=3))
+    config = replace(Config(), grid=replace(Config().grid, levels=3), refine=replace(Config().refine, **refine))
     problem = Problem(clouds, normals, vertices, place[faces], 1, config, find_device("cpu"), eye=eye)
     optimiser = Optimiser(problem, 1, team)
     optimiser.finish()
     return Refinement(optimiser.objective, team), problem
+
+
+def unmet_and_away(team: Team) -> tuple[np.ndarray, np.ndarray]:
+    """How well the frames of that half show its vertices after some rounds, and how far these are from where the
+    bending left them, (T, V) each."""
+    refinement, problem = open_refinement(CAMERA, team)
+    assert problem.border is not None
+    follow(refinement.objective, refinement)
+    refinement.start()
+    for _ in range(6):
+        refinement.run_round()
+    state, trust = refinement.state(), refinement.unseen.trust
+    assert trust is not None
+    return trust.numpy(), np.linalg.norm(state["vertices"].numpy() - state["expected"].numpy(), axis=2)
+
+
+def test_what_a_frame_does_not_show_of_a_sheet_is_held_where_the_bending_left_it(monkeypatch):
+    with closing(Team(1)) as team:
+        trust, held = unmet_and_away(team)
+        monkeypatch.setattr("warpdef.fit.unseen._HOLD_SHEET", 0.0)
+        free = unmet_and_away(team)[1]
+    unmet = trust < 0.1
+    assert unmet.any()
+    assert held[unmet].mean() < 0.8 * free[unmet].mean()
+
+
+def test_a_sheet_that_nothing_was_bent_onto_is_not_held():
+    with closing(Team(1)) as team:
+        assert open_refinement(CAMERA, team, follow=0)[0].unseen.by_time
+        assert not open_refinement(CAMERA, team)[0].unseen.by_time
+        assert open_refinement(None, team)[0].unseen.by_time
 
 
 def test_spikes_of_the_border_of_what_one_camera_saw_are_faired():

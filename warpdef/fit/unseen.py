@@ -1,8 +1,9 @@
 """Where vertices are expected that a frame does not show (``kernels.unseen``).
 
 On the way between the frames around it, at its time, where these show all of the surface. Where one camera saw all
-frames none does: then the far side of a closed mesh stays where the bent template brought it (``bending``), which is
-rigid and thick. An open one is what the camera saw; nearly all of it has points.
+frames none does: then it stays where the bent template brought it (``bending``). So the far side of a closed mesh is
+rigid and thick, and a sheet ends near the outline of each frame: the one shape of all frames is larger than what any of
+them shows, and else the rest of it would stand beside that in full view.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from warpdef.kernels.unseen import expected_places, hold_unseen, seen_weights
 from warpdef.kernels.vectors import copy_vectors
 
 _HOLD = 0.05  # weight of the place expected of an unseen vertex against one plane
+_HOLD_SHEET = 0.01  # the same of a sheet, whose unseen vertices are those near its outline: firmer, points lose them
 
 
 class Unseen:
@@ -25,14 +27,16 @@ class Unseen:
     Args:
         vertices: of all frames, shape (T, V) vec3. rotation: theirs, from the rest shape, (T, V) mat33.
 
-    frames: those held, ascending; none with fewer than three frames, all of a closed mesh that one camera saw.
+    frames: those held, ascending; none with fewer than three frames, all of what one camera saw.
     trust: how well a frame shows a vertex, shape (T, V) float32; None where some frame shows all of the surface.
     by_time: whether places are expected by the frames around; else they are those that ``stay`` was told.
     """
 
     def __init__(self, problem: Problem, vertices: wp.array, rotation: wp.array) -> None:
         p, self._vertices, self._rotation = problem, vertices, rotation
-        self.by_time = not p.seen or p.border is not None
+        # Of a sheet only where the template was bent onto its frames; else nothing has told where that brought it.
+        bent = p.config.refine.follow > 0 and not p.config.optimiser.chain
+        self.by_time = not p.seen or (p.border is not None and not bent)
         self._count = p.vertex_count
         near, far, share = _around(p.times)
         complete = p.measures.complete
@@ -43,7 +47,8 @@ class Unseen:
         self.frames = np.flatnonzero(held)
         self.trust = None if complete.any() else wp.zeros(vertices.shape, dtype=wp.float32, device=p.device)
         self._around = p.integers(near), p.integers(far), p.numbers(share)
-        self._hold = p.numbers(np.where(held, _HOLD, 0.0))
+        hold = _HOLD if self.by_time or p.border is None else _HOLD_SHEET
+        self._hold = p.numbers(np.where(held, hold, 0.0))
         self._expected = wp.clone(vertices) if len(self.frames) else None
 
     def __bool__(self) -> bool:
