@@ -18,7 +18,7 @@ from warpdef.kernels.unseen import expected_places, hold_unseen, seen_weights
 from warpdef.kernels.vectors import copy_vectors
 
 _HOLD = 0.05  # weight of the place expected of an unseen vertex against one plane
-_HOLD_SHEET = 0.01  # the same of a sheet, whose unseen vertices are those near its outline: firmer, points lose them
+_HOLD_SHEET = 0.005  # the same of a sheet, whose unseen vertices are near its outline: firmer, points lose them
 
 
 class Unseen:

@@ -109,11 +109,11 @@ BOUNDS = (
     ),
     Bound(
         "exposed",
-        0.02,
+        0.007,
         _NEVER,
-        "{:.0%} of the surface stands where the camera saw nothing",
-        "asked only of what one camera saw; 0 to 1.2 % where what is hidden is out of its sight, an arm held up beside "
-        "the body 3 to 7 %",
+        "{:.1%} of the surface stands where the camera saw nothing",
+        "asked only of what one camera saw; 0 to 0.4 % along outlines, a finger put beside the hand's outline 0.8 to "
+        "1 %, an arm held up beside the body 3 to 7 %",
     ),
     Bound(
         "spanning",
