@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -74,7 +75,8 @@ def test_a_slide_is_kept_only_where_it_is_worth_it(there, monkeypatch: pytest.Mo
     """A frame that hangs over by a hair, and slides for less than that is worth, goes back to the bit."""
     vertices, points, normals = there
     over, faces = wavy_strip(0.4)
-    far, walk = [0.2], object.__new__(follow._Walk)
+    far = [0.2]
+    walk: Any = object.__new__(follow._Walk)  # put together from what a slide asks for
 
     def settle(frame: int, neighbour: int) -> None:
         far[0] = 0.2 - gain
