@@ -20,6 +20,7 @@ def tried(monkeypatch: pytest.MonkeyPatch, lost: set[int], partial: tuple[int, .
     calls: list[tuple[int, int]] = []
     monkeypatch.setattr(Search, "lost", lambda self, t: t in lost)
     monkeypatch.setattr(walks._Walk, "_bend", lambda self, frame, neighbour: calls.append((frame, neighbour)))
+    monkeypatch.setattr(walks._Walk, "_turn", lambda self, frame, neighbour: None)
     with closing(Team(1)) as team:
         optimiser, refinement = lost_chain(team, chain=False)
         optimiser.problem.measures.complete = ~np.isin(np.arange(FRAMES), partial)

@@ -165,7 +165,7 @@ class Refinement:
         wp.copy(frame_of(self.rotation, frame), frame_of(self.rotation, neighbour))
         if self.unseen:
             self.unseen.stay(frame)
-        self._fit_rotations(frame, frame + 1, self._tie_alone)
+        self._fit_rotations(frame, frame + 1, 0.0)  # untied: the neighbour's are a step behind
         for _ in range(rounds):
             self._fit_frames(frame, frame + 1)
 
