@@ -44,9 +44,11 @@ def apply_block_row(
     x: wp.array2d[wp.vec3],
 ) -> wp.vec3:
     """Row i of frame t."""
-    total = diagonal_block(matrix[t, i], stiffness_around(stiffness, i, row, column), alpha, beta) * x[t, i]
+    own = x[t, i]
+    total = matrix[t, i] * own + beta * own
     for k in range(row[i], row[i + 1]):
-        total -= (alpha * edge_stiffness(stiffness, i, column[k])) * x[t, column[k]]
+        j = column[k]
+        total += (alpha * edge_stiffness(stiffness, i, j)) * (own - x[t, j])
     return total
 
 

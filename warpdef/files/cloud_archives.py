@@ -69,10 +69,11 @@ def read_npz_frames(path: Path, frames: slice | None) -> NamedFrames:
         return NamedFrames(_stacked_frames(npz, name, frames), notes + ([left_behind(passed)] if passed else []))
     numbered = _numbered_names(npz)
     if not numbered:
-        meshes = "; it holds meshes: sample them first with `warpdef sample`" if "vertices" in npz else ""
+        what = f"call that of all frames 'points', or save unequal frames with {_UNEQUAL}"
+        if "vertices" in npz:
+            what = "it holds meshes: sample them first with `warpdef sample`"
         found = ", ".join(npz.names[:8]) or "no arrays"
-        meshes = meshes or f"; call that of all frames 'points', or save unequal frames with {_UNEQUAL}"
-        raise InputError(f"{npz.path}: expected an array 'points' (T, N, 3), got {found:.200}{meshes}")
+        raise InputError(f"{npz.path}: expected an array 'points' (T, N, 3), got {found:.200}; {what}")
 
     def read(slot: FrameSlot) -> FramePoints:
         name = slot.file().as_posix()

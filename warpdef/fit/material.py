@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpdef.fit.problem import Problem
 from warpdef.kernels.material import strains
 
 _LEARNT = (0.2, 0.4, 0.6)  # shares of the rounds after which it is learnt anew, from what frames have come to by then
@@ -17,15 +16,18 @@ class Material:
     """Stiffness of every vertex, shape (V,) float32: a part of a round.
 
     Args:
+        edges: neighbours, as in ``Graph``: rows and columns.
         moving: the shape, (V,) vec3, the vertices of all frames, (T, V) vec3, and their rotations, (T, V) mat33.
         rounds: how many there will be.
     """
 
-    def __init__(self, problem: Problem, moving: tuple[wp.array, wp.array, wp.array], rounds: int) -> None:
-        self._edges = problem.integers(problem.mesh.row), problem.integers(problem.mesh.column)
-        self._moving, self._after = moving, {round(share * rounds) for share in _LEARNT}
-        self.stiffness = wp.ones(problem.vertex_count, dtype=wp.float32, device=problem.device)
-        self._strain = wp.zeros(problem.vertex_count, dtype=wp.float32, device=problem.device)
+    def __init__(
+        self, edges: tuple[wp.array, wp.array], moving: tuple[wp.array, wp.array, wp.array], rounds: int
+    ) -> None:
+        self._edges, self._moving = edges, moving
+        self._after = {round(share * rounds) for share in _LEARNT}
+        self.stiffness = wp.ones(len(moving[0]), dtype=wp.float32, device=moving[0].device)
+        self._strain = wp.zeros_like(self.stiffness)
 
     def learn(self, done: int) -> None:
         """After ``done`` rounds: one over the root of the mean square strain, the middle 1. Waits for the device.

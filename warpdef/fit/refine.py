@@ -7,10 +7,9 @@ moves on its own, by Gauss-Newton on
 
 with symmetric point-to-plane residuals r both ways, a rotation R a vertex and frame, and one rest shape y for all
 frames. y is an unknown like the others (``rest_shape``), and the stiffness s of edges is learnt from all frames
-(``material``). The noisier the clouds, the stiffer. Pairs and their planes
-come from ``pairing``, in rounds over clouds whose noise is wide from every point and all vertices around it; what a
-frame does not show is held by the frames around it (``unseen``). In the last rounds a second solve draws vertices to
-places that are smooth in time (``smoothness``).
+(``material``). The noisier the clouds, the stiffer. Pairs and their planes come from ``pairing``, in rounds over clouds
+whose noise is wide from every point and all vertices around it; what a frame does not show is held by the frames around
+it (``unseen``). In the last rounds a second solve draws vertices to places that are smooth in time (``smoothness``).
 
 A round is three phases: every frame pairs, solves for its moves and fits its rotations; every vertex asks the frames
 that show all of the surface for its edges, or all frames if none does; the shape is solved for. Where an incomplete
@@ -84,8 +83,8 @@ class Refinement:
         moving = self.shape.places, objective.vertices, self.rotation
         self.smoothness = Smoothness(p, moving, self.noise, tuple(scratch))
         learnt = c.material and p.scattered is None and not p.seen
-        self.material = Material(p, moving, c.iterations) if learnt else None
         self._edges = p.integers(p.mesh.row), p.integers(p.mesh.column)
+        self.material = Material(self._edges, moving, c.iterations) if learnt else None
         self._solver = BlockSolver(p.mesh, p.frame_count, c.tolerance, c.iterations_max, device)
         self.solves = SolveReport("block cg")
         # By frame: 1 fitted again, 2 lost all the same. Part of the state, hence on the device.

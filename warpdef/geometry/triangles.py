@@ -41,6 +41,19 @@ def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
+def face_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normal of each face, shape (F, 3), zero where there is no area, and its area, shape (F,)."""
+    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+    normal = np.cross(b - a, c - a)
+    twice = np.linalg.norm(normal, axis=1)
+    return normal / np.maximum(twice, np.finfo(float).tiny)[:, None], 0.5 * twice
+
+
+def equilateral_edge(area: float, count: float) -> float:
+    """Edge of ``count`` equilateral triangles of that area in all."""
+    return float(np.sqrt(4.0 * area / (np.sqrt(3.0) * count)))
+
+
 def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """A third of the area of the faces around each vertex, shape (V,)."""
     return np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces) / 3.0, 3), minlength=len(vertices))

@@ -21,7 +21,7 @@ from warpdef.geometry.closest import closest_on_surface
 from warpdef.geometry.edges import squared_lengths
 from warpdef.geometry.nearby import Fellows, Nearest
 from warpdef.geometry.noise import noise_level
-from warpdef.geometry.triangles import vertex_normals
+from warpdef.geometry.triangles import face_normals, vertex_normals
 
 if TYPE_CHECKING:
     import warp as wp
@@ -144,11 +144,8 @@ def measure_coverage(
     back = np.einsum("nk,nki->ni", weights, corners[face])
     distance, nearest = query(vertices)
     reach = FAR * length[nearest]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal, areas = face_normals(vertices, faces)
     beside = np.linalg.norm(back[nearest] - vertices, axis=1) <= reach
-    twice = np.linalg.norm(normal, axis=1)
-    areas = 0.5 * twice
-    normal /= np.maximum(twice, np.finfo(float).tiny)[:, None]
     normals = vertex_normals(vertices, faces)
     same_side = np.einsum("vi,vi->v", normals, normal[face[nearest]]) > OTHER_SIDE
     far = distance > reach

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from warpdef.geometry.triangles import face_normals
 from warpdef.quality.coverage import Coverage
 
 SPLIT = 0.15
@@ -30,10 +31,9 @@ def merged_share(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, co
 
     if len(points) < _FELLOWS:
         return 0.0
-    a, b, c = vertices[faces[coverage.face]].transpose(1, 0, 2)
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
-    foot = np.einsum("nk,nki->ni", coverage.weights, np.stack([a, b, c], axis=1))
+    met = faces[coverage.face]
+    normal = face_normals(vertices, met)[0]
+    foot = np.einsum("nk,nki->ni", coverage.weights, vertices[met])
     height = ((points - foot) * normal).sum(axis=1)
     asked = slice(None, None, -(-len(points) // _SAMPLED))
     around = height[cKDTree(points).query(points[asked], k=_FELLOWS)[1]]

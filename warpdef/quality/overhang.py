@@ -20,7 +20,7 @@ import numpy as np
 from warpdef.geometry.borders import border_points
 from warpdef.geometry.cloud_planes import pca_normals
 from warpdef.geometry.coverage import JUDGED
-from warpdef.geometry.triangles import boundary_edges, vertex_areas, vertex_components
+from warpdef.geometry.triangles import boundary_edges, face_normals, vertex_areas, vertex_components
 from warpdef.quality.coverage import FAR, OTHER_SIDE, Coverage
 
 CLOSED = 0.9
@@ -50,7 +50,7 @@ def overhang_share(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, 
     contour = np.unique(edge[far[edge]])
     point = coverage.nearest[contour]
     # Across a flat body the points of the other side are near, which say nothing of this one.
-    facing = (coverage.normals[contour] * _face_normals(vertices, faces[coverage.face[point]])).sum(axis=1)
+    facing = (coverage.normals[contour] * face_normals(vertices, faces[coverage.face[point]])[0]).sum(axis=1)
     asked, which = np.unique(point, return_inverse=True)
     closing = ~border_points(points, pca_normals(points, asked=asked), asked)[which] & (facing > OTHER_SIDE)
     hanging = 0.0
@@ -59,12 +59,6 @@ def overhang_share(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, 
         if len(np.unique(point[around])) >= _ASKED and closing[around].mean() >= CLOSED:
             hanging += float(area[patch == number].sum())
     return hanging / max(float(area.sum()), np.finfo(float).tiny)
-
-
-def _face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = vertices[faces].transpose(1, 0, 2)
-    normal = np.cross(b - a, c - a)
-    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
 
 
 def surplus_share(coverage: Coverage, keyframe: Coverage) -> float | None:

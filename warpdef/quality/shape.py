@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from warpdef.geometry.edges import edge_lengths
-from warpdef.geometry.triangles import is_watertight, signed_volume, unique_edges, vertex_normals
+from warpdef.geometry.triangles import face_normals, is_watertight, signed_volume, unique_edges, vertex_normals
 
 STRETCHED = 1.5
 """Ratio of an edge's or a pair's length to that in the shape, or its inverse, from which it counts as changed."""
@@ -112,9 +112,7 @@ class ReferenceShape:
         return ShapeChange(np.abs(stretch), beyond, torn, folded, thickness, thinned, volume)
 
     def _folded(self, vertices: np.ndarray) -> np.ndarray:
-        a, b, c = vertices[self.faces].transpose(1, 0, 2)
-        normal = np.cross(b - a, c - a)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+        normal = face_normals(vertices, self.faces)[0]
         one, other = self._neighbours
         # Right angles of a shape are none, whatever the rounding.
         return np.einsum("ni,ni->n", normal[one], normal[other]) < -1e-3

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from warpdef.geometry.triangles import border_sides
+from warpdef.geometry.triangles import border_sides, face_normals
 
 SLIDES = 0.07
 """Share of a motion across the surface below which it can hardly be seen: 0.1 to 0.2 is the least of people, animals,
@@ -57,15 +57,13 @@ def slippable_motions(vertices: np.ndarray, faces: np.ndarray) -> list[Slippable
 
     vertices = vertices.astype(np.float64)
     corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    twice = np.linalg.norm(normal, axis=1)
-    normal /= np.maximum(twice, np.finfo(float).tiny)[:, None]
-    if not (surface := float(0.5 * twice.sum())) > 0.0:
+    normal, areas = face_normals(vertices, faces)
+    if not (surface := float(areas.sum())) > 0.0:
         return []
     # The middles of a face's sides are exact for what is quadratic.
     places, weight = (
         (0.5 * (corners + np.roll(corners, -1, axis=1))).reshape(-1, 3),
-        np.repeat(twice / 6.0, 3) / surface,
+        np.repeat(areas / 3.0, 3) / surface,
     )
     centroid = weight @ places
     places -= centroid

@@ -266,8 +266,8 @@ def depth_by_spacing(points: np.ndarray, faces: int = 0) -> int:
     handle and depth 10 up to eight, and both lay equally near the true surface.
     """
     spacing = mean_spacing(points)
-    # That of random points is half the root of a point's area; a face has the area of so many of them.
-    edge = 2.0 * spacing * np.sqrt(4.0 / np.sqrt(3.0) * len(points) / faces) if faces else 0.0
+    # That of random points is half the root of a point's area.
+    edge = triangles.equilateral_edge(len(points) * (2.0 * spacing) ** 2, faces) if faces else 0.0
     spacing = max(spacing, edge / CELLS_AN_EDGE)
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
     # Both libraries leave a tenth of the extent around the points.

@@ -40,7 +40,7 @@ def even_triangles(
     """
     if not area > 0:
         raise InputError("the reconstructed surface has no area; the cloud does not look like a closed surface")
-    edge_length = np.sqrt(4.0 * area / (np.sqrt(3.0) * FACES_AIM * target))
+    edge_length = triangles.equilateral_edge(area, FACES_AIM * target)
     best = None
     for _ in range(REMESH_ATTEMPTS):
         try:

@@ -132,7 +132,7 @@ def far_shares(mesh: TriMesh, points: np.ndarray, far_spacings: float, seed: int
     if not area > 0:
         return spacing, 1.0, 1.0
     samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, np.random.default_rng(seed))[0]
-    edge = np.sqrt(4.0 / np.sqrt(3.0) * area / len(mesh.faces))
+    edge = triangles.equilateral_edge(area, len(mesh.faces))
     bound = max(far_spacings * spacing, min(EDGE_SHARE * edge, EDGE_MOST * float(np.ptp(points, axis=0).max())))
     far = tree.query(samples)[0] > bound
     missed = cKDTree(np.concatenate([samples, mesh.vertices])).query(points)[0] > bound
