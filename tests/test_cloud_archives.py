@@ -82,7 +82,7 @@ def test_another_shape_says_what_to_do(tmp_path, points, message):
     [
         (POINTS[0].T, r"got \(3, 20\); transpose it: points.T"),
         (POINTS[0].reshape(4, 5, 3), r"got \(4, 5, 3\); an image of points becomes a list by points.reshape\(-1, 3\)"),
-        (np.random.default_rng(0).random((48, 64)), "at most 16 columns without names .*got 64: a depth image"),
+        (np.random.default_rng(0).random((48, 64)), "at most 16 columns without names .*got 64: depth images"),
     ],
 )
 def test_a_frame_of_another_shape_says_what_to_do(tmp_path, table, message):

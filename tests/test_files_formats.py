@@ -14,6 +14,7 @@ from warpdef.files import read_clouds
 from warpdef.files.las import read_las
 from warpdef.files.lzf import lzf_decompress
 from warpdef.files.pcd import read_pcd
+from warpdef.files.ptx import read_ptx
 
 FORMS = ("ascii", "binary", "binary_compressed")
 
@@ -199,3 +200,39 @@ def test_what_else_a_folder_holds_is_told(tmp_path):
     assert sequence.warnings == (
         f"passed over in {tmp_path}: '7.npy', 'mean.pcd', as the frames are its 4 numbered .pcd files",
     )
+
+
+def ptx_scan(points: np.ndarray, matrix: np.ndarray, rest: str, size: tuple[int, int]) -> str:
+    axes = "1 2 3\n" + "1 0 0\n0 1 0\n0 0 1\n"
+    rows = "".join(f"{' '.join(map(repr, map(float, p)))} {rest}\n" for p in points)
+    return f"{size[0]}\n{size[1]}\n{axes}" + "".join(" ".join(map(str, row)) + "\n" for row in matrix.tolist()) + rows
+
+
+def test_ptx_scans_stand_in_the_world_without_what_they_did_not_see(tmp_path):
+    turned = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [10, 20, 30, 1.0]])  # [x y z 1] M
+    blind = CLOUDS[0].copy()
+    blind[::4] = 0.0
+    both = ptx_scan(blind, np.eye(4), "0.5 9 8 7", (8, 5)) + ptx_scan(CLOUDS[1], turned, "0.5 1 2 300", (20, 2))
+    (tmp_path / "a.ptx").write_text(both, newline="\r\n")
+    surface = read_ptx(tmp_path / "a.ptx")
+    x, y, z = CLOUDS[1].T
+    second = np.stack([10 - y, 20 + x, 30 + z], axis=1)
+    np.testing.assert_allclose(surface.points, np.concatenate([blind[np.arange(40) % 4 > 0], second]), atol=1e-14)
+    (tmp_path / "b.ptx").write_text(ptx_scan(CLOUDS[0], np.eye(4), "0.5 9 8 7", (8, 5)) + "\n")
+    assert (read_ptx(tmp_path / "b.ptx").colors == [9, 8, 7]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: s.replace("8\n5\n", "8\n6\n"), "expected 48 points, got 40; it is truncated"),
+        (lambda s: s.replace("8\n5\n", "8 5\n"), "line 1: expected the head of a PTX scan"),
+        (lambda s: s.replace("0.5", "half", 1), "from line 11 on: expected points"),
+        (lambda s: s.replace(" 0.5\n", "\n"), r"expected 40 rows of 4 or 7 numbers, got \(40, 3\)"),
+        (lambda s: s + "1 2 3 4\n", "line 51: expected the head"),
+    ],
+)
+def test_ptx_that_is_damaged(tmp_path, change, message):
+    (tmp_path / "a.ptx").write_text(change(ptx_scan(CLOUDS[0], np.eye(4), "0.5", (8, 5))))
+    with pytest.raises(InputError, match=message):
+        read_ptx(tmp_path / "a.ptx")

@@ -140,8 +140,9 @@ def test_a_run_goes_on_with_its_own_landmarks_only(sequence, tmp_path):
     path, kept = written(tmp_path / "a.csv"), tmp_path / "kept"
     template = TriMesh(SPHERE, FACES)
     guarded = Safeguards(checkpoint=kept, checkpoint_seconds=0.0)
-    whole = warpdef.reconstruct(sequence, quick(path), template=template, safeguards=guarded)
-    again = warpdef.reconstruct(sequence, template=template, safeguards=Safeguards(resume=Saved(kept)))
+    whole = warpdef.reconstruct(sequence, quick(path), template=template, device="cpu", safeguards=guarded)
+    kept_run = Safeguards(resume=Saved(kept))
+    again = warpdef.reconstruct(sequence, template=template, device="cpu", safeguards=kept_run)
     np.testing.assert_array_equal(again.vertices, whole.vertices)
     written(path, frames=range(1, 3))
     with pytest.raises(InputError, match="expected the landmarks of the run to continue"):

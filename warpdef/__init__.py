@@ -17,6 +17,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Appearance": "warpdef.appearance",
     "Config": "warpdef.config",
+    "points_of_depth": "warpdef.files.depth_images",
     "preset": "warpdef.presets",
     "MeshSequence": "warpdef.mesh",
     "TriMesh": "warpdef.mesh",

@@ -5,7 +5,9 @@
 - frames of unequal length: ``points_0000`` (N_0, 3), ``points_0001`` (N_1, 3), ..., each with optional
   ``normals_0000``, ``colors_0000``, ...: ``np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})``,
   where a number that is missing is a frame that is missing;
-- the same under another name, ``arr_0`` of ``np.savez(path, clouds)`` for one, where nothing else could be meant.
+- the same under another name, ``arr_0`` of ``np.savez(path, clouds)`` for one, where nothing else could be meant;
+- beside any of them ``valid`` (T, N), or ``valid_0000`` (N_0,), ..., true for rows that are points (``point_masks``);
+- ``depth`` images and the camera's ``intrinsics`` (``depth_images``).
 """
 
 from __future__ import annotations
@@ -21,9 +23,11 @@ import numpy as np
 from warpdef.cloud import MIN_POINTS, FramePoints
 from warpdef.errors import InputError
 from warpdef.files.columns import guess_roles, surface_of
+from warpdef.files.depth_images import DEPTH_NAMES, INTRINSICS_NAMES, POSE_NAMES, DepthArchive
 from warpdef.files.frame_files import FrameFiles, FrameSlot, select_frames
 from warpdef.files.frame_numbers import read_names
 from warpdef.files.numpy_files import Npz, npy_array, row
+from warpdef.files.point_masks import UNCLEAR_NAMES, VALID_NAMES, mask_notes, read_valid
 from warpdef.files.surface import Surface
 from warpdef.sequence import MIN_FRAMES
 
@@ -51,7 +55,7 @@ def times_of(slots: Sequence[FrameSlot]) -> tuple[float, ...]:
 
 COLOR_NAMES = ("colors", "colours", "color", "colour", "rgb", "rgba", "vertex_colors")
 """What colours are called; of frames of their own with the frame's number behind."""
-_KNOWN = {"points", "normals", "names", "fps", "up", *COLOR_NAMES}
+_KNOWN = {"points", "normals", "names", "fps", "up", *COLOR_NAMES, *VALID_NAMES, *UNCLEAR_NAMES}
 _POINTS_OF_A_FRAME = re.compile("points_[0-9]+")
 _UNEQUAL = 'np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})'
 
@@ -66,7 +70,10 @@ def read_npz_frames(path: Path, frames: slice | None) -> NamedFrames:
     name, notes = _stack_name(npz)
     if name:
         passed = [n for n in npz.names if n not in {name, *_KNOWN} and npz.header(n)[0][:2] == npz.header(name)[0][:2]]
-        return NamedFrames(_stacked_frames(npz, name, frames), notes + ([left_behind(passed)] if passed else []))
+        chosen, told = _stacked_frames(npz, name, frames)
+        return NamedFrames(chosen, [*notes, *told, *([left_behind(passed)] if passed else [])])
+    if any(name in npz for name in DEPTH_NAMES):
+        return _depth_frames(npz, frames)
     numbered = _numbered_names(npz)
     if not numbered:
         what = f"call that of all frames 'points', or save unequal frames with {_UNEQUAL}"
@@ -81,7 +88,8 @@ def read_npz_frames(path: Path, frames: slice | None) -> NamedFrames:
         stem, number = re.split("(?=[0-9]+$)", name, maxsplit=1)
         normals = _first_of(npz, [f"normals_{number}"])
         colors = _first_of(npz, [f"{c}_{number}" for c in COLOR_NAMES])
-        return _with(cloud, normals, colors if stem == "points_" else None)
+        valid = read_valid(npz, [f"{v}_{number}" for v in VALID_NAMES], [cloud.points.shape[:1]])
+        return _with(cloud, normals, colors if stem == "points_" else None, valid)
 
     numbering = read_names(numbered, str(npz.path))
     # As files of a folder are: a number that is missing is a frame that is missing.
@@ -125,7 +133,8 @@ def read_npz_points(path: Path) -> Surface:
     cloud = _columns(npz.array(name), f"{path}: {name}")
     if cloud.points.ndim != 2:
         raise InputError(f"{path}: {name}: expected the points (N, 3) of one frame, got {cloud.points.shape}")
-    cloud = _with(cloud, _first_of(npz, ["normals"]), _first_of(npz, COLOR_NAMES))
+    valid = read_valid(npz, VALID_NAMES, [cloud.points.shape[:1]])
+    cloud = _with(cloud, _first_of(npz, ["normals"]), _first_of(npz, COLOR_NAMES), valid)
     passed = [n for n in npz.names if n not in {name, *_KNOWN} and npz.header(n)[0][:1] == (len(cloud.points),)]
     return Surface(cloud.points.astype(np.float64), cloud.normals, colors=cloud.colors, passed=tuple(passed))
 
@@ -143,7 +152,8 @@ def _stack_name(npz: Npz) -> tuple[str, list[str]]:
         return "points", []
     if "vertices" in npz and "faces" in npz or any(_POINTS_OF_A_FRAME.fullmatch(name) for name in npz.names):
         return "", []
-    shapes = {name: npz.header(name)[0] for name in npz.names if "normal" not in name.lower()}
+    beside = {*_KNOWN, *INTRINSICS_NAMES, *POSE_NAMES, *DEPTH_NAMES}
+    shapes = {name: npz.header(name)[0] for name in npz.names if "normal" not in name.lower() and name not in beside}
     stacks = [name for name, shape in shapes.items() if len(shape) == 3 and shape[2] in (3, 6)]
     return (stacks[0], _called(stacks[0])) if len(stacks) == 1 else ("", [])
 
@@ -162,8 +172,17 @@ def _numbered_names(npz: Npz) -> list[str]:
     return numbered
 
 
-def _stacked_frames(npz: Npz, name: str, frames: slice | None) -> list[NamedFrame]:
-    """Readers of the frames of an array (T, N, 3) or (T, N, 6)."""
+def _depth_frames(npz: Npz, frames: slice | None) -> NamedFrames:
+    """The frames chosen of depth images."""
+    images = DepthArchive(npz, _first_of(npz, COLOR_NAMES))
+    chosen = select_frames(range(len(images)), frames, MIN_FRAMES, npz.path)
+    passed = [n for n in npz.names if n not in {*images.used, *_KNOWN}]
+    notes = mask_notes(npz, images.valid) + ([left_behind(passed)] if passed else [])
+    return NamedFrames([(f"{images.name}[{t}] of {npz.path.name}", partial(images.cloud, t)) for t in chosen], notes)
+
+
+def _stacked_frames(npz: Npz, name: str, frames: slice | None) -> tuple[list[NamedFrame], list[str]]:
+    """Readers of the frames of an array (T, N, 3) or (T, N, 6), and warnings."""
     shape, dtype = npz.header(name)
     if dtype.hasobject:
         raise InputError(
@@ -187,13 +206,16 @@ def _stacked_frames(npz: Npz, name: str, frames: slice | None) -> list[NamedFram
             "normal a point, or none"
         )
 
+    valid = read_valid(npz, VALID_NAMES, [shape[:2], shape[1:2]])
+
     def read(t: int) -> FramePoints:
         rows = row(points, t) if normals is None else row(points, t)[:, :3]
         cloud = _columns(rows, f"{name}[{t}] of {npz.path.name}")
         own = colors if colors is None or colors.ndim == 2 else row(colors, t)
-        return _with(cloud, None if normals is None else row(normals, t), own)
+        kept = valid if valid is None or valid.ndim == 1 else valid[t]
+        return _with(cloud, None if normals is None else row(normals, t), own, kept)
 
-    return [(f"{name}[{t}] of {npz.path.name}", partial(read, t)) for t in chosen]
+    return [(f"{name}[{t}] of {npz.path.name}", partial(read, t)) for t in chosen], mask_notes(npz, valid)
 
 
 def left_behind(names: Sequence[str]) -> str:
@@ -205,11 +227,15 @@ def _first_of(npz: Npz, names: Sequence[str]) -> np.ndarray | None:
     return next((npz.array(name) for name in names if name in npz), None)
 
 
-def _with(cloud: FramePoints, normals: np.ndarray | None, colors: np.ndarray | None) -> FramePoints:
-    """The cloud with arrays of their own in place of columns."""
-    return FramePoints(
-        cloud.points, cloud.normals if normals is None else normals, cloud.colors if colors is None else colors
-    )
+def _with(
+    cloud: FramePoints, normals: np.ndarray | None, colors: np.ndarray | None, valid: np.ndarray | None
+) -> FramePoints:
+    """The cloud with arrays of their own in place of columns, and without rows that are no points."""
+    normals, colors = cloud.normals if normals is None else normals, cloud.colors if colors is None else colors
+    lengths = {len(array) for array in (normals, colors) if array is not None} | {len(cloud.points)}
+    whole = FramePoints(cloud.points, normals, colors)
+    # Arrays of other lengths are complained about where every cloud is checked.
+    return whole if valid is None or len(lengths) > 1 else whole.keep(valid)
 
 
 def _columns(rows: np.ndarray, where: str) -> FramePoints:

@@ -90,8 +90,8 @@ def guess_roles(table: np.ndarray, where: str) -> list[str]:
         raise InputError(f"{where}: expected at least 3 columns (x y z), got {count or table.shape}")
     if count > _MOST:
         raise InputError(
-            f"{where}: expected at most {_MOST} columns without names (x y z ...), got {count}: a depth image becomes "
-            "points by its camera's focal lengths; if it is a table, say what it holds with --columns x,y,z"
+            f"{where}: expected at most {_MOST} columns without names (x y z ...), got {count}: depth images go into "
+            "an .npz of depth (T, H, W) and intrinsics (3, 3); if it is a table, say what it holds with --columns x,y,z"
         )
     rows = table[np.isfinite(table).all(axis=1)]
     start = 1 if count > 3 and _counts(rows[:, 0]) else 0

@@ -49,6 +49,7 @@ FORMATS = {
     ".laz": InputFormat("las:read_las"),
     **dict.fromkeys((".stl", ".glb", ".gltf", ".3mf", ".dae"), InputFormat("scenes:read_scene", True, merges=True)),
     ".e57": InputFormat("e57:read_e57"),
+    ".ptx": InputFormat("ptx:read_ptx"),
     ".npz": InputFormat("cloud_archives:read_npz_points", weak=True),
 }
 """Formats of one frame by suffix."""

@@ -17,10 +17,14 @@ from warpdef.files.frame_numbers import Numbering, natural_key, pattern, read_na
 _Item = TypeVar("_Item")
 
 WHAT_TO_DO = {
+    **dict.fromkeys((".vtk", ".vtp", ".vtu"), "save them as .ply: pyvista.read(name).extract_surface().save(other)"),
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz", ".abc", ".fbx", ".blend"), "export a mesh a frame, as .obj"),
+    **dict.fromkeys((".bag", ".db3", ".mcap"), "play it beside pcl_ros' pointcloud_to_pcd, which writes .pcd files"),
     **dict.fromkeys((".gz", ".zip", ".7z", ".xz", ".bz2", ".tar", ".tgz", ".rar", ".zst"), "unpack it"),
     **dict.fromkeys(
         (".png", ".tif", ".tiff", ".exr", ".pgm", ".jpg", ".jpeg", ".raw"),
-        "images are no points: make points of each depth image by its camera's focal lengths",
+        "images are no points: save depth images as an .npz of depth (T, H, W) and the camera's intrinsics (3, 3), or "
+        "make points of each by warpdef.points_of_depth",
     ),
 }
 """By suffix, what to do with files that people have in place of clouds."""

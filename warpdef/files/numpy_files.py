@@ -22,6 +22,8 @@ from warpdef.files.surface import Surface
 MAPPED_FROM = 1 << 26
 """Arrays of at least so many bytes, 64 MiB, that are not compressed are mapped into memory, not read into it."""
 
+NUMBERS = "fiu"
+"""Kinds of real numbers among NumPy's types."""
 _DAMAGE = (
     *(OSError, ValueError, EOFError, MemoryError, OverflowError, RuntimeError, SyntaxError, TypeError, KeyError),
     *(zlib.error, zipfile.BadZipFile, tokenize.TokenError, struct.error),
@@ -120,11 +122,11 @@ class Npz:
         """Shape and type of an array, without reading it."""
         return self._with(name, lambda stream: _read_header(stream)[:2])
 
-    def array(self, name: str) -> np.ndarray:
-        """One array of numbers; read-only where it is mapped.
+    def array(self, name: str, kinds: str = NUMBERS) -> np.ndarray:
+        """One array of numbers, or of other ``kinds`` as NumPy's types name them; read-only where it is mapped.
 
         Raises:
-            InputError: no such array, damaged, anything but real numbers, or far larger than the file's size allows.
+            InputError: no such array, damaged, of another kind, or far larger than the file's size allows.
         """
         where = f"{self.path}: {name}"
 
@@ -136,8 +138,8 @@ class Npz:
                 self._unpacking.take(math.prod(shape) * (dtype.itemsize + (8 if dtype.itemsize != 8 else 0)))
                 stream.seek(0)
             elif member.file_size >= MAPPED_FROM:
-                return _map_array(self.path, member, where)
-            return _read_array(stream, member.file_size, where)
+                return _map_array(self.path, member, where, kinds)
+            return _read_array(stream, member.file_size, where, kinds)
 
         return self._with(name, read)
 
@@ -240,27 +242,29 @@ def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype, bool]:
     return shape, dtype, first_fastest
 
 
-def _checked_header(stream: IO[bytes], size: int, where: str) -> tuple[tuple[int, ...], np.dtype, bool]:
+def _checked_header(
+    stream: IO[bytes], size: int, where: str, kinds: str = NUMBERS
+) -> tuple[tuple[int, ...], np.dtype, bool]:
     shape, dtype, first_fastest = _read_header(stream)
     if dtype.hasobject:
         raise InputError(
             f"{where}: expected numbers, got Python objects, which are not read as they can run code; "
             'save clouds of unequal length with np.savez(path, **{f"points_{t:04d}": p for t, p in enumerate(clouds)})'
         )
-    if dtype.kind not in "fiu":
+    if dtype.kind not in kinds:
         raise InputError(f"{where}: expected real numbers, got {dtype}; convert them to float32")
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > size - stream.tell():
         raise InputError(f"{where}: expected shape {shape} of {dtype}, got fewer data; it is truncated: write it again")
     return shape, dtype, first_fastest
 
 
-def _read_array(stream: IO[bytes], size: int, where: str) -> np.ndarray:
-    _checked_header(stream, size, where)
+def _read_array(stream: IO[bytes], size: int, where: str, kinds: str = NUMBERS) -> np.ndarray:
+    _checked_header(stream, size, where, kinds)
     stream.seek(0)
     return np.lib.format.read_array(stream, allow_pickle=False)
 
 
-def _map_array(path: Path, member: zipfile.ZipInfo, where: str) -> np.ndarray:
+def _map_array(path: Path, member: zipfile.ZipInfo, where: str, kinds: str) -> np.ndarray:
     """The array of a member stored as it is: pages are read from the file when they are looked at."""
     with open(path, "rb") as stream:
         stream.seek(member.header_offset)
@@ -271,7 +275,7 @@ def _map_array(path: Path, member: zipfile.ZipInfo, where: str) -> np.ndarray:
         if start + member.file_size > path.stat().st_size:
             raise InputError(f"{where}: expected {member.file_size} bytes, got fewer; it is truncated: write it again")
         stream.seek(start)
-        shape, dtype, first_fastest = _checked_header(stream, start + member.file_size, where)
+        shape, dtype, first_fastest = _checked_header(stream, start + member.file_size, where, kinds)
         if math.prod(shape) == 0:
             return np.zeros(shape, dtype)
         order = "F" if first_fastest else "C"
