@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from warpdef import config as config_module
 from warpdef.config import Config
 from warpdef.presets import preset
 
@@ -58,7 +57,7 @@ def field_help(module_file: str) -> dict[str, dict[str, str]]:
 
 def entries(cls: type = Config, prefix: str = "") -> list[Entry]:
     """All fields of the configuration, groups flattened, in order."""
-    texts = field_help(inspect.getsourcefile(config_module) or "")[cls.__name__]
+    texts = field_help(inspect.getsourcefile(cls) or "")[cls.__name__]
     hints = typing.get_type_hints(cls)
     defaults = cls()
     found = []

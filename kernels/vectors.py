@@ -1,4 +1,4 @@
-"""Elementary work on arrays, recordable like any launch: clear, copy, add, blend. Linear, so nothing has an adjoint."""
+"""Elementary work on arrays, recordable like any launch: clear, copy, add, blend, go on. Linear: no adjoints."""
 
 from __future__ import annotations
 
@@ -85,6 +85,22 @@ def _blend(
     target[i] = target[i] + share * (source[i] - target[i])
 
 
+@sizes("threads earlier places: N")
+@wp.kernel
+def _go_on(
+    # In:
+    begin: int,
+    share: float,
+    # In and out:
+    earlier: wp.array[wp.vec3],
+    places: wp.array[wp.vec3],
+):
+    i = begin + wp.tid()
+    place = places[i]
+    places[i] = place + share * (place - earlier[i])
+    earlier[i] = place
+
+
 @sizes("threads array_out: N")
 @wp.kernel
 def _clear_nodes(
@@ -124,6 +140,11 @@ def add_scaled(begin: int, count: int, scale: float, change: wp.array, target_ou
 def blend(share: float, source: wp.array, target_out: wp.array) -> None:
     """``target += share (source - target)``; a share above 1 overshoots."""
     launch(_blend, len(source), [share, source, target_out], target_out.device)
+
+
+def go_on(begin: int, count: int, share: float, earlier: wp.array, places: wp.array) -> None:
+    """A span of places moved on by ``share`` of their way from ``earlier``, which then is where they were."""
+    launch(_go_on, count, [begin, share, earlier, places], places.device)
 
 
 def clear_nodes(begin: int, count: int, array: wp.array) -> None:

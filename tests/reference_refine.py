@@ -218,6 +218,14 @@ def spacing(cloud: np.ndarray) -> float:
     return float(distance.min(axis=1).mean())
 
 
+def gone_on(x, earlier, y, rotation, edges, c) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices farther along their way since ``earlier``, and rotations that three fits spread by three edges."""
+    x = x + c.momentum * (x - earlier)
+    for _ in range(3):
+        rotation = fit_rotations(x, y, edges, c.rotation_smoothness, rotation)
+    return x, rotation
+
+
 def refine_round(x, y, rotation, edges, faces, clouds, normals, c) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """One round: every frame pairs, moves and turns; then all frames together say what the shape is.
 

@@ -98,6 +98,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "refine.reach": POSITIVE,
     "refine.agreement": ([-1.1, 1], [-1, 0, 0.9]),
     "refine.shape_smoothness": POSITIVE,
+    "refine.momentum": ([-0.1, 1], [0, 0.95]),
     "refine.shape_step": ([-0.1, 2], [0, 1.9]),
     "refine.tolerance": ([0, 1, -1e-3], [1e-8, 0.5]),
     "refine.iterations_max": COUNT,

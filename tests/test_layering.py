@@ -26,6 +26,7 @@ MAIN = "warpdef.__main__"
 FLOORS_INSIDE = (
     ("errors", "kernel_cache"),
     ("config_values", "device"),
+    ("config_grids", "config_refine", "config_template"),
     ("cloud", "config", "geometry", "texture", "transitions"),
     ("appearance", "presets", "sequence"),
     ("cleaning", "mesh"),

@@ -36,6 +36,7 @@ def test_rounds_match_the_twin(scene: MovingEllipsoid, shaken: np.ndarray, devic
         "reach": 2.5,
         "agreement": 0.4,
         "shape_smoothness": 20.0,
+        "momentum": 0.6,
     }
     values |= {"clean_thickness": 8.0, "noisy_thickness": 9.0}  # clean, whatever the clouds
     run = Rounds(scene, shaken, device, 2, keyframe=2, shape_step=1.3, tolerance=1e-6, iterations_max=300, **values)
@@ -43,8 +44,10 @@ def test_rounds_match_the_twin(scene: MovingEllipsoid, shaken: np.ndarray, devic
     x = shaken.astype(np.float32).astype(np.float64)
     y = x[2]
     rotation = twin.fit_rotations(x, y, edges)
+    earlier = x
     for _ in range(2):
-        x, y, rotation = twin.refine_round(x, y, rotation, edges, scene.faces, scene.clouds, scene.normals, c)
+        (begun, rotation), earlier = twin.gone_on(x, earlier, y, rotation, edges, c), x
+        x, y, rotation = twin.refine_round(begun, y, rotation, edges, scene.faces, scene.clouds, scene.normals, c)
     moved = np.abs(x - shaken).max()
     assert moved > 0.02
     np.testing.assert_allclose(run.vertices, x, rtol=0, atol=1e-4 * moved)

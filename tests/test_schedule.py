@@ -11,7 +11,7 @@ from warpdef.kernels.confidence import confidence
 from warpdef.kernels.levels import node8
 from warpdef.kernels.motion import template_gradient
 from warpdef.kernels.schedule import BIAS_1, BIAS_2, DELTA, RATE_SCALE, SCHEDULE_SIZE, advance
-from warpdef.kernels.vectors import add_scaled, blend, clear_losses, clear_nodes, clear_vectors, copy_vectors
+from warpdef.kernels.vectors import add_scaled, blend, clear_losses, clear_nodes, clear_vectors, copy_vectors, go_on
 
 
 @pytest.mark.parametrize("cosine", [False, True])
@@ -91,6 +91,17 @@ def test_adding_and_blending(device: str, rng: np.random.Generator) -> None:
     np.testing.assert_allclose(target.numpy(), expected, rtol=1e-6, atol=1e-6)
     blend(1.5, source, target)
     np.testing.assert_allclose(target.numpy(), expected + 1.5 * (change - expected), rtol=1e-6, atol=2e-6)
+
+
+def test_going_on(device: str, rng: np.random.Generator) -> None:
+    """By a share of the way since the last time, which is then remembered; outside the span nothing moves."""
+    first, second = rng.normal(size=(2, 5, 3)).astype(np.float32)
+    earlier, places = (wp.array(a, dtype=wp.vec3, device=device) for a in (first, second))
+    go_on(1, 3, 0.75, earlier, places)
+    inside = np.array([[0], [1], [1], [1], [0]], dtype=bool)
+    expected = np.where(inside, second + 0.75 * (second - first.astype(np.float64)), second)
+    np.testing.assert_allclose(places.numpy(), expected, rtol=1e-6, atol=1e-6)
+    np.testing.assert_array_equal(earlier.numpy(), np.where(inside, second, first))
 
 
 def test_clearing_spans(device: str) -> None:

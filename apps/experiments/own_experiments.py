@@ -15,6 +15,7 @@ IDEAS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("shared rest shape", {"refine.shape_step": 0.0}),
     ("smoothness in time", {"refine.time": 0.0}),
     ("neighbours that turn alike", {"refine.rotation_smoothness": 0.0}),
+    ("momentum of rounds", {"refine.momentum": 0.0}),
     ("a material learnt", {"refine.material": False}),
     ("lost limbs found again", {"refine.recover": False}),
     ("stiffness by noise", {"refine.rigidity_noisy": "=refine.rigidity"}),

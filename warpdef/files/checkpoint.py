@@ -23,7 +23,7 @@ import numpy as np
 from warpdef.errors import InputError, WarpdefError
 from warpdef.files.disk import must_exist, read_bytes, reason, replacing, settle_names
 
-FORMAT = 8
+FORMAT = 9
 """Raise it with every change of what a run keeps: a fact or array that is new, gone, renamed, or of another meaning."""
 
 _BEGIN = re.compile(rb"warpdef checkpoint ([0-9]{1,9})\n")

@@ -7,7 +7,9 @@ moves on its own, by Gauss-Newton on
 
 with symmetric point-to-plane residuals r both ways, a rotation R a vertex and frame, and one rest shape y for all
 frames. y is an unknown like the others (``rest_shape``), and the stiffness s of edges is learnt from all frames
-(``material``). The noisier the clouds, the stiffer. Pairs and their planes come from ``pairing``, in rounds over clouds
+(``material``). The noisier the clouds, the stiffer. Vertices and rotations in turns come to an end slowly, a turn
+spreading by an edge at a time; so a round begins farther along the way of the last (heavy ball, Polyak 1964), and with
+rotations fitted anew until they have spread. Pairs and their planes come from ``pairing``, in rounds over clouds
 whose noise is wide from every point and all vertices around it; what a frame does not show is held by the frames around
 it (``unseen``). In the last rounds a second solve draws vertices to places that are smooth in time (``smoothness``).
 
@@ -39,10 +41,11 @@ from warpdef.fit.workers import Iteration, Phase, Team
 from warpdef.kernels.block_cg import BlockSolver
 from warpdef.kernels.launching import listing
 from warpdef.kernels.rigidity import fit_rotations, rigid_rhs
-from warpdef.kernels.vectors import add_scaled
+from warpdef.kernels.vectors import add_scaled, copy_vectors, go_on
 
 _FREE = 0.6  # share of the rounds before places are smoothed in time: what has not arrived yet is not to be held
 _FREE_LESS = 0.4  # less at noise 1, where patches settle before vertices do
+_TURNS = 3  # fits of rotations where a round goes on: a fit that is tied passes a turn on by one edge
 _TIED = 1.2  # edges: noise up to which rotations of neighbours are tied
 _SETTLED = 8  # rounds after which a frame shows whether it lost a limb
 
@@ -67,9 +70,10 @@ class Refinement:
         device, shape = p.device, (p.frame_count, p.vertex_count)
         self.noise = noise_of(p.measures.thickness, c)
         self.rigidity = c.rigidity * (c.rigidity_noisy / c.rigidity) ** self.noise
-        # What one camera saw is held by the bent template, and points that scatter widely by patches.
+        # What one camera saw is held by the bent template, and points that scatter widely by patches: neither is tied,
+        # nor hurried after its points.
         tied = not p.seen and p.wide_noise <= _TIED * p.edge_length
-        self._tie = c.rotation_smoothness if tied else 0.0
+        self._tie, self._momentum = (c.rotation_smoothness, c.momentum) if tied else (0.0, 0.0)
         # Of a frame alone: points that scatter tell too little, and an open sheet is cloth, whose waves would be
         # held back (a flag's CD 6.1 for 3).
         self._tie_alone = self._tie if p.scattered is None and p.border is None else 0.0
@@ -85,6 +89,7 @@ class Refinement:
         learnt = c.material and p.scattered is None and not p.seen
         self._edges = p.integers(p.mesh.row), p.integers(p.mesh.column)
         self.material = Material(self._edges, moving, c.iterations) if learnt else None
+        self._earlier = wp.clone(objective.vertices)
         self._solver = BlockSolver(p.mesh, p.frame_count, c.tolerance, c.iterations_max, device)
         self.solves = SolveReport("block cg")
         # By frame: 1 fitted again, 2 lost all the same. Part of the state, hence on the device.
@@ -113,6 +118,7 @@ class Refinement:
         """Take the vertices as they are: the shape is the keyframe's, normals of doubtful side get the mesh's side."""
         self.shape.take()
         self._fit_rotations(0, self.problem.frame_count, self._tie)
+        copy_vectors(self.objective.vertices.flatten(), self._earlier.flatten())
         self.pairing.choose_sides()
 
     def run_round(self) -> None:
@@ -178,6 +184,7 @@ class Refinement:
         """What a round leaves for the next, by name: the arrays themselves. Searches remember more, but are exact."""
         return {
             "vertices": self.objective.vertices,
+            "earlier": self._earlier,
             "rest": self.shape.places,
             "rotation": self.rotation,
             "doubtful": self.pairing.doubtful,
@@ -213,6 +220,10 @@ class Refinement:
         """
         o = self.objective
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
+        if together and self._momentum > 0:
+            go_on(begin, count, self._momentum, self._earlier.flatten(), o.vertices.flatten())
+            for _ in range(_TURNS):
+                self._fit_rotations(first, last, self._tie)
         self.pairing.find(first, last)
         if self.unseen.trust is not None:
             self.unseen.look(first, last, self.pairing)

@@ -138,8 +138,8 @@ class FitRun:
             if not reason:
                 r.start()
                 self._refining = True
-        # Rotations follow from the rest, and no round follows one that is undone.
-        good = {name: wp.clone(array) for name, array in r.state().items() if array.dtype is not wp.mat33}
+        # No round follows one that is undone: what only the next would go on from need not be kept.
+        good = {name: wp.clone(r.state()[name]) for name in ("vertices", "rest")}
         rounds = r.config.iterations
         flag = wp.zeros(1, dtype=wp.int32, device=r.objective.problem.device)
         while r.done < rounds and not reason:
