@@ -32,6 +32,8 @@ POINTS_JUDGED = 20_000
 """Points of a frame that are looked at; of larger clouds as many are drawn."""
 SIDE_BY_SIDE = 8
 """Frames at most that are looked at at the same time: each takes some tens of megabytes meanwhile."""
+GUESSED = 0.05
+"""Share of a frame's surface far from every point from which it is told that this is a guess."""
 LAYERS = ("inner", "doubled", "layered", "blur", "exposed", "spanning", "merged") + ("overhang", "surplus", "outgrown")
 """Measures of where surface lies beside that of others, or where none is: fields of ``FrameQuality``."""
 _DEVIATION = np.sqrt(0.5 * np.pi)  # standard deviation of a normal distribution over the mean of its absolute values
@@ -45,12 +47,14 @@ class Assessment:
     verdicts:   what follows from it
     confidence: how far each vertex of each frame can be trusted, from 0 to 255   (T, V) uint8
     slippable:  motions of the body that its points do not show
+    one_camera: whether one camera saw all clouds, which shows a part of a body at most
     """
 
     frames: list[FrameQuality]
     verdicts: list[Verdict]
     confidence: np.ndarray
     slippable: list[Slippable]
+    one_camera: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """``verdicts`` (T of ``good``, ``doubtful``, ``lost``), ``quality`` (a mapping a frame) and ``slippable`` (a
@@ -83,6 +87,15 @@ class Assessment:
             lines.append(
                 f"a wall inside the points, as where surfaces meet or part, in {name_frames([f.frame for f in walls])}"
                 f": {most.inner:.0%} of the mesh{where}; its confidence is low"
+            )
+        pairs = zip(self.frames, self.verdicts, strict=True)
+        bare = [f for f, v in pairs if f.far is not None and f.far > GUESSED and v.name != LOST]
+        if bare and not self.one_camera:
+            most = max(bare, key=lambda f: f.far or 0.0)
+            where = f" (frame {most.frame})" if len(bare) > 1 else ""
+            lines.append(
+                f"{most.far:.0%} of the mesh{where} has no points near it in {name_frames([f.frame for f in bare])}: "
+                "there it is a guess, and its confidence is low"
             )
         return lines
 
@@ -135,10 +148,12 @@ def assess(
             if eye is not None:
                 layers["exposed"] = exposed_share(*compared, eye - centre)
                 layers["spanning"] = spanning_share(*compared, eye - centre)
-            of_vertices = doubled_vertices(coverage, placed, reference.vertices, faces)
+            # A body that has grown as a whole has grown apart.
+            of_vertices = doubled_vertices(coverage, placed, change.growth * reference.vertices, faces)
             for which, found in zip(("doubled", "layered"), of_vertices, strict=True):
                 layers[which] = coverage.share(found[faces].mean(axis=1))
-            layers["blur"] = None if reference.thin is None else _noise_around(coverage) / reference.thin
+            if reference.thin is not None:
+                layers["blur"] = _noise_around(coverage) / (change.growth * reference.thin)
         quality = _frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm))
         return quality, coverage, change.stretch
 
@@ -161,7 +176,7 @@ def assess(
     # Where one camera saw a part, that part's border is not the body's.
     whole = eye is None or is_watertight(faces)
     slippable = slippable_motions(vertices[keyframe], faces) if whole else []
-    return Assessment(frames, [judge(frame) for frame in frames], confidence, slippable)
+    return Assessment(frames, [judge(frame) for frame in frames], confidence, slippable, eye is not None)
 
 
 def _noise_around(coverage: Coverage) -> float:
@@ -207,6 +222,7 @@ def _frame(
         stretch_p95=float(np.percentile(change.stretch, 95.0)),
         stretch_max=float(change.stretch.max()),
         stretched=change.changed,
+        drawn=change.drawn,
         folded=change.folded,
         thickness=change.thickness,
         thinned=change.thinned,

@@ -33,6 +33,7 @@ class FrameQuality:
     outgrown:     share of the keyframe's surface that lies beyond the border of the points, and has grown since
     stretch_p95, stretch_max: of |log l / l_shape| over the edges
     stretched:    share of the edges that are longer or shorter than in the shape by half, a growth of all taken off
+    drawn:        share of the surface whose patches have been drawn out, a growth of all taken off
     folded:       share of neighbouring faces folded by more than 90 degrees, that were not so in the shape
     thickness:    median distance of opposite vertices over that in the shape
     thinned:      share of them whose distance has changed by half, a growth of all taken off
@@ -67,6 +68,7 @@ class FrameQuality:
     stretch_p95: float
     stretch_max: float
     stretched: float
+    drawn: float
     folded: float
     thickness: float | None
     thinned: float | None

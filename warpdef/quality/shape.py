@@ -15,6 +15,7 @@ import numpy as np
 
 from warpdef.geometry.edges import edge_lengths
 from warpdef.geometry.triangles import face_normals, is_watertight, signed_volume, unique_edges, vertex_normals
+from warpdef.quality.drawn import Patches
 
 STRETCHED = 1.5
 """Ratio of an edge's or a pair's length to that in the shape, or its inverse, from which it counts as changed."""
@@ -30,8 +31,10 @@ class ShapeChange:
     """One frame against the shape; E edges, F faces.
 
     stretch:   |log l / l_shape| of each edge                                               (E,)
+    growth:    median of l / l_shape
     changed:   share of the edges whose ratio differs by more than ``STRETCHED`` from the median of all
     stretched: faces whose vertices are all on edges more than ``STRETCHED`` times as long as that  (F,)
+    drawn:     share of the surface drawn out, by patches
     folded:    share of neighbouring faces folded by more than 90 degrees that were not so in the shape
     thickness: median of the pairs' distances over those in the shape; None where it is open
     thinned:   share of the pairs whose distance differs by more than ``STRETCHED`` from what that median makes of it;
@@ -40,8 +43,10 @@ class ShapeChange:
     """
 
     stretch: np.ndarray
+    growth: float
     changed: float
     stretched: np.ndarray
+    drawn: float
     folded: float
     thickness: float | None
     thinned: float | None
@@ -67,6 +72,10 @@ class ReferenceShape:
     def extent(self) -> float:
         """Longest side of its bounding box."""
         return float(np.ptp(self.vertices, axis=0).max())
+
+    @cached_property
+    def patches(self) -> Patches:
+        return Patches(self.vertices, self.faces, self.edges)
 
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
@@ -109,7 +118,8 @@ class ReferenceShape:
             volume = signed_volume(vertices, self.faces) / self._volume
         folded = float(np.mean(self._folded(vertices) & ~self._folds)) if len(self._folds) else 0.0
         torn = np.all(grown[self.faces], axis=1)
-        return ShapeChange(np.abs(stretch), beyond, torn, folded, thickness, thinned, volume)
+        drawn, growth = self.patches.drawn_share(vertices), float(np.exp(scale))
+        return ShapeChange(np.abs(stretch), growth, beyond, torn, drawn, folded, thickness, thinned, volume)
 
     def _folded(self, vertices: np.ndarray) -> np.ndarray:
         normal = face_normals(vertices, self.faces)[0]
