@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from synthetic import bending_bar, turning_ellipsoid
@@ -68,3 +70,10 @@ def test_it_can_be_switched_off(bar):
     sequence = PointSequence.from_arrays(bar)
     assert [gap.number for gap in clean(sequence, Config()).gaps] == [4]
     assert clean(sequence, Config(drop_odd_frames=False)).gaps == ()
+
+
+def test_other_units_are_named_and_nothing_else_is_said_to_stand_still(bar):
+    bar[4] = bar[4] * 1000.0
+    told = clean(PointSequence.from_arrays(bar), Config()).warnings
+    assert [w for w in told if re.search("is unlike the frames around it, [0-9.]+ times larger, as in other units", w)]
+    assert not [w for w in told if "stands still" in w]

@@ -157,11 +157,11 @@ def clean(sequence: PointSequence, config: Config, device: wp.Device | None = No
     sequence = tell_coarse_steps(sequence)
     if not config.trust_normals:
         sequence = turn_to_one_side(leave_out_useless_normals(sequence), config.template.neighbours)
-    if config.cut_static:
-        sequence = tell_static_parts(sequence)
     if config.order == "auto":
         sequence = put_in_order(sequence)
     if config.drop_odd_frames and not sequence.order:
         sequence = leave_out_odd(sequence)
     require_one_unit(sequence)
+    if config.cut_static:
+        sequence = tell_static_parts(sequence)  # of frames that belong together: a scale of its own hides all motion
     return sequence.subsample(config.points, config.seed) if config.points else sequence

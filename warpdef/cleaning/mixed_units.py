@@ -18,16 +18,23 @@ NEAR = 0.15  # how far from such a ratio that of the groups' medians may be: a b
 GROUP = 3.0  # sizes within a group differ by less
 
 
+def size_of(cloud: np.ndarray) -> float:
+    """Mean distance of points (N, 3) from their middle, which a few strays do not move."""
+    return float(np.linalg.norm(cloud - np.median(cloud, axis=0), axis=1).mean())
+
+
+def is_unit(ratio: float) -> bool:
+    """Whether one size over another is near the ratio of two units in use."""
+    return any(abs(ratio / known - 1.0) <= NEAR for known in RATIOS)
+
+
 def require_one_unit(sequence: PointSequence) -> None:
     """Refuse clouds of which some are in other units than the others.
 
     Raises:
         InputError: they are; it names the frames of the smaller group.
     """
-    middles = [np.median(cloud, axis=0) for cloud in sequence.points]
-    size = np.array(
-        [np.linalg.norm(p - m, axis=1).mean() for p, m in zip(sequence.points, middles, strict=True)], dtype=np.float64
-    )
+    size = np.array([size_of(cloud) for cloud in sequence.points])
     ordered = np.sort(size)
     jumps = ordered[1:] / np.maximum(ordered[:-1], 1e-300)
     if not len(jumps):
@@ -35,9 +42,8 @@ def require_one_unit(sequence: PointSequence) -> None:
     at = int(jumps.argmax())
     small, large = ordered[: at + 1], ordered[at + 1 :]
     ratio = float(np.median(large) / max(np.median(small), 1e-300))
-    unit = min(RATIOS, key=lambda known: abs(np.log(ratio / known)))
     alike = small[-1] < GROUP * small[0] and large[-1] < GROUP * large[0]
-    if not alike or abs(ratio / unit - 1.0) > NEAR:
+    if not alike or not is_unit(ratio):
         return
     is_large = size > ordered[at]
     few = is_large if is_large.sum() <= len(size) / 2 else ~is_large

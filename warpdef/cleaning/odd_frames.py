@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from warpdef.cleaning.mixed_units import is_unit, size_of
 from warpdef.sequence import PointSequence, name_frames
 
 RATIO = 3.0
@@ -59,11 +60,17 @@ def leave_out_odd(sequence: PointSequence) -> PointSequence:
     odd = find_odd(sequence.points)
     if not odd:
         return sequence
-    reasons = {
-        sequence.numbers[
-            t
-        ]: f"{name_frames([sequence.numbers[t]])} ({sequence.names[t]}) is unlike the frames around it, "
-        f"{times:.2g} times as far from them as frames are here, while those are alike; --no-drop-odd-frames keeps it"
-        for t, times in odd.items()
-    }
+    usual = float(np.median([size_of(cloud) for cloud in sequence.points]))
+    reasons = {sequence.numbers[t]: _why(sequence, t, times, usual) for t, times in odd.items()}
     return sequence.without(reasons, judged=True)
+
+
+def _why(sequence: PointSequence, t: int, times: float, usual: float) -> str:
+    """The sentence that says why frame t is left out; ``times``: as ``find_odd``, ``usual``: size of the frames."""
+    size = size_of(sequence.points[t])
+    ratio, what = (size / usual, "larger") if size > usual else (usual / max(size, 1e-300), "smaller")
+    how = f"{times:.2g} times as far from them as frames are here, while those are alike"
+    if is_unit(ratio):
+        how = f"{ratio:.4g} times {what}, as in other units"
+    which = f"{name_frames([sequence.numbers[t]])} ({sequence.names[t]})"
+    return f"{which} is unlike the frames around it, {how}; --no-drop-odd-frames keeps it"
