@@ -71,9 +71,11 @@ class Packing:
         return export(animation, self.file, **how)
 
     def say_cost(self, animation: Animation | MovingPoints, form: ExportFormat) -> None:
-        """What was rounded, who does not read the file, and where a rig would serve better."""
+        """What was rounded or is not in the file, who does not read it, and where a rig would serve better."""
         from warpdef.export.animation import Animation
 
+        if isinstance(animation, Animation):
+            say_left_out(animation, form, self.suffix)
         if isinstance(animation, Animation) and form.quantised and not self.is_rigged(form):
             say_quantised(animation, self.precise)
         if self.meshopt:
@@ -104,6 +106,15 @@ def fit_bones(animation: Animation, bone_count: int | None) -> Rig:
         f"{most:.1f} % at most"
     )
     return rig
+
+
+def say_left_out(animation: Animation, form: ExportFormat, suffix: str) -> None:
+    """What was said of axis and unit and the file has no place for."""
+    left = {"up": f"{animation.up.upper()} up", "unit": f"a scale of {animation.metres_per_unit:g}"}
+    asked = {"up": animation.up != "y", "unit": animation.metres_per_unit != 1.0}
+    missing = [left[key] for key in left if asked[key] and key not in form.carries]
+    if missing:
+        say(f"warpdef: .{suffix} has the result's own coordinates: import it with {' and '.join(missing)}")
 
 
 def say_quantised(animation: Animation, precise: bool) -> None:

@@ -90,6 +90,16 @@ def test_negative_frames_and_a_named_format(result, place):
     assert entries(place / "meshes") == ["0000.obj", "0001.obj"]
 
 
+def test_axis_and_unit_that_a_file_does_not_hold_are_told(result, place, capfd):
+    how = ["--up", "z", "--metres-per-unit", "0.01"]
+    assert run(["export", str(result), str(place / "a.obj"), *how]) == 0
+    assert "a.obj" not in (line := capfd.readouterr().err) and "with Z up and a scale of 0.01" in line
+    for name in ("a.glb", "a.npz"):
+        assert run(["export", str(result), str(place / name), *how]) == 0
+    assert run(["export", str(result), str(place / "b.obj")]) == 0
+    assert "import it with" not in capfd.readouterr().err
+
+
 def without_usd() -> list[str]:
     whole = all(find_spec(name) for name in ("lxml", "networkx"))
     return [name for name in FORMATS if not name.startswith("usd") and (whole or name != "3mf")]
@@ -124,7 +134,9 @@ def test_all_formats_of_one_name_stand_side_by_side(place):
         (["a.foo"], ["a.foo", "unknown suffix '.foo'", *(f".{name}" for name in FORMATS)]),
         (["a"], ["unknown suffix none", ".glb"]),
         (["a.gltf"], ["did you mean .glb?"]),
-        (["a.abc"], ["Alembic is not written", ".usdc"]),
+        (["a.abc"], [".abc is not written", "Alembic", ".usdc"]),
+        (["a.fbx"], [".fbx is not written; write .glb", "Blender"]),
+        (["a.mp4"], ["warpdef view --movie"]),
         (["a.plyy"], ["did you mean .ply?"]),
         (["a.glb", "--format", "docx"], ["unknown suffix '.docx'"]),
         (["absent/a.glb"], ["absent", "make it first"]),

@@ -253,6 +253,7 @@ def ragged() -> np.ndarray:
 FRAMES = np.random.default_rng(0).normal(size=(2, N, 3))
 BAD_SEQUENCES = [
     (lambda p: p / "nowhere", "got nothing there"),
+    (lambda p: Path(r"C:\scans\take 2"), r"got nothing there; write / between folders, not \\; under WSL C: is"),
     (lambda p: p / "a\0b", "cannot be opened|got nothing there"),
     (lambda p: p, "expected numbered files .*got none"),
     (one_frame, "expected at least 2 frames, got 1"),

@@ -40,6 +40,7 @@ class ExportFormat:
     rigged:    as ``writer``, for a mesh that is moved by a rig, which is its third argument; empty where it holds none
     measured:  holds a measure at the vertices, as numbers or as colours
     quantised: numbers are whole multiples of a step, unless ``precise=True`` is given to ``writer``
+    carries:   which of ``up`` and ``unit`` (metres a unit) it says, or turns and scales its coordinates by
     packed:    ``writer`` and ``rigged`` take ``meshopt=True``, for a smaller file that fewer programs read
     """
 
@@ -51,6 +52,7 @@ class ExportFormat:
     rigged: str = ""
     quantised: bool = False
     measured: bool = False
+    carries: tuple[str, ...] = ()
     packed: bool = False
 
     def places(self, path: Path, texture: Texture | None = None) -> list[Path]:
@@ -60,7 +62,10 @@ class ExportFormat:
         return [path, *(path.with_name(name) for name in names)]
 
 
-_USDZ = ExportFormat("usd:write_usd", "Universal Scene Description, time samples; needs the extra [usd]", measured=True)
+_BOTH = ("up", "unit")
+_USDZ = ExportFormat(
+    "usd:write_usd", "Universal Scene Description, time samples; needs the extra [usd]", measured=True, carries=_BOTH
+)
 _USD = replace(_USDZ, image=True)
 
 FORMATS = {
@@ -70,6 +75,7 @@ FORMATS = {
         rigged="gltf_rig:write_rigged_glb",
         quantised=True,
         measured=True,
+        carries=_BOTH,
         packed=True,
     ),
     "usd": _USD,
@@ -84,12 +90,14 @@ FORMATS = {
     "obj": ExportFormat("mesh_folders:write_obj_folder", "a folder of OBJ files", is_folder=True),
     "ply": ExportFormat("mesh_folders:write_ply_folder", "a folder of binary PLY files", is_folder=True, measured=True),
     "stl": ExportFormat("print_folders:write_stl_folder", "a folder of binary STL files", is_folder=True),
-    "3mf": ExportFormat("print_folders:write_3mf_folder", "a folder of 3MF files, in millimetres", is_folder=True),
+    "3mf": ExportFormat(
+        "print_folders:write_3mf_folder", "a folder of 3MF files, in millimetres", True, carries=("unit",)
+    ),
     "npz": ExportFormat(
-        "archive:write_npz_animation", "NumPy: vertices (T, V, 3), faces, fps, names, up", measured=True
+        "archive:write_npz_animation", "NumPy: vertices (T, V, 3), faces, fps, names, up", measured=True, carries=_BOTH
     ),
     "anime": ExportFormat("anime:write_anime", "DeformingThings4D"),
-    "bvh": ExportFormat("", "the bones of a rig, as motion capture has them", rigged="bvh:write_bvh"),
+    "bvh": ExportFormat("", "the bones of a rig, as motion capture has them", rigged="bvh:write_bvh", carries=("up",)),
 }
 """Formats of moving meshes by suffix, without the dot."""
 
@@ -99,6 +107,15 @@ POINT_FORMATS = {
 }
 """Formats of moving points."""
 
+_INSTEAD = {
+    "abc": "write .usdc, and turn it into Alembic where that is wanted (in Blender: import .usdc, export Alembic)",
+    "fbx": "write .glb, with --bones auto for a rig, and turn it into FBX (in Blender: import the .glb, export as FBX)",
+    "blend": "write .usdc or .glb and import it in Blender",
+    **dict.fromkeys(("mp4", "gif"), "a movie is made by warpdef view --movie"),
+    "html": "a page is made by warpdef view --html",
+    **dict.fromkeys(("png", "jpg"), "a picture is made by warpdef view --screenshot"),
+}
+"""By suffix, what to do for formats that are not written."""
 _NUMBERED = re.compile(r"[0-9]{4,}\.(obj|ply|vtp|stl|3mf)")
 
 
@@ -118,12 +135,9 @@ def format_of(path: Path | str, name: str = "", points: bool = False) -> ExportF
         raise InputError(f"{path}: expected {known} for points without faces, got '.{key}', which holds meshes only")
     if key in FORMATS:
         return (POINT_FORMATS if points else FORMATS)[key]
-    if key == "abc":
-        raise InputError(
-            f"{path}: Alembic is not written; write .usdc, and turn it into Alembic where that is wanted (in Blender: "
-            "import the .usdc, export as Alembic)"
-        )
-    hint = {"gltf": "glb", "fbx": "glb", "vtp": "pvd"}.get(key) or next(iter(get_close_matches(key, FORMATS, 1)), "")
+    if key in _INSTEAD:
+        raise InputError(f"{path}: .{key} is not written; {_INSTEAD[key]}")
+    hint = {"gltf": "glb", "vtp": "pvd"}.get(key) or next(iter(get_close_matches(key, FORMATS, 1)), "")
     meant = f"; did you mean .{hint}?" if hint else ""
     known = " ".join(f".{key}" for key in FORMATS)
     got = f"'.{key}'" if key else "none"

@@ -42,6 +42,8 @@ def _what_to_check(path: str) -> str:
         return "give the folder itself, not a pattern"
     if path.startswith("~"):
         return "the shell did not put a home folder in place of '~': leave the quotes out"
+    if os.sep == "/" and re.match(r"[A-Za-z]:[\\/]|[^/]*\\", path):
+        return "write / between folders, not \\; under WSL C: is /mnt/c"
     if re.match(r"\w+:/", path):
         return "give a path on this machine, not an address"
     return "check the path"
