@@ -15,11 +15,25 @@ from warpdef.fit.recover import Search
 from warpdef.fit.workers import Team
 
 
-def tried(monkeypatch: pytest.MonkeyPatch, lost: set[int], partial: tuple[int, ...] = ()) -> list[tuple[int, int]]:
-    """Frames bent, each with the neighbour it was bent from, if these frames stay lost whatever is done."""
+def tried(
+    monkeypatch: pytest.MonkeyPatch,
+    lost: set[int],
+    partial: tuple[int, ...] = (),
+    sources: int = 0,
+    finds: tuple[tuple[int, int], ...] = (),
+) -> list[tuple[int, int]]:
+    """Frames bent, each with the one it was bent from, if these frames stay lost whatever is done but ``finds``."""
+    monkeypatch.setattr(walks, "SOURCES", sources)
     calls: list[tuple[int, int]] = []
-    monkeypatch.setattr(Search, "lost", lambda self, t: t in lost)
-    monkeypatch.setattr(walks._Walk, "_bend", lambda self, frame, neighbour: calls.append((frame, neighbour)))
+    found: set[int] = set()
+
+    def bend(self: walks._Walk, frame: int, neighbour: int) -> None:
+        calls.append((frame, neighbour))
+        if (frame, neighbour) in finds:
+            found.add(frame)
+
+    monkeypatch.setattr(Search, "lost", lambda self, t: t in lost - found)
+    monkeypatch.setattr(walks._Walk, "_bend", bend)
     monkeypatch.setattr(walks._Walk, "_turn", lambda self, frame, neighbour: None)
     with closing(Team(1)) as team:
         optimiser, refinement = lost_chain(team, chain=False)
@@ -40,6 +54,21 @@ def test_the_last_frame_has_none_behind_it(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_incomplete_frames_are_never_judged(monkeypatch: pytest.MonkeyPatch) -> None:
     assert tried(monkeypatch, {8, 9, 3}, partial=(8, 9)) == [(3, 4), (3, 2)]
+
+
+@pytest.mark.parametrize(
+    ("finds", "forward"),
+    [
+        ((), [(8, 6), (8, 10), (9, 7), (9, 11)]),  # 8 from 7 and 9 from 10 was tried
+        (((8, 6),), [(8, 6), (9, 8), (9, 7)]),  # what was found leads on
+    ],
+)
+def test_what_stays_lost_then_is_tried_from_afar(monkeypatch: pytest.MonkeyPatch, finds, forward) -> None:
+    """From as many frames of its side as are asked, the nearest first, and never twice from a neighbour."""
+    assert KEYFRAME == 6
+    outwards = [(8, 7), (9, 8), (9, 10)], [(3, 4), (3, 2)]
+    calls = tried(monkeypatch, {8, 9, 3}, sources=3, finds=finds)
+    assert calls == [*outwards[0], *forward, *outwards[1], (3, 1)]
 
 
 def test_what_covers_less_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:

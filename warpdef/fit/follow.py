@@ -41,6 +41,8 @@ STRETCHED_MAX = 0.02
 WORSE, HALF = 1.5, 0.5
 """Fault of a frame that one camera saw, over that of the frame behind it, from which it is tried from there; and of its
 own, below which that is taken. A leg found again leaves 0.3 to 0.4, a hand that is otherwise wrong 0.8."""
+SOURCES = 4
+"""Frames that are right from which one that is wrong is tried, at most."""
 _ASKED = 20_000  # points of a frame, evenly spread, that tell what is not covered: enough for any limb
 
 
@@ -171,7 +173,24 @@ class _Walk:
             for inner, outer in _from_behind(fitted):
                 if p.measures.complete[inner] and not self._wrong(outer):
                     self._try_again(inner, outer)
+            self._try_from_afar([t for t in fitted if p.measures.complete[t]])
         return fitted
+
+    def _try_from_afar(self, fitted: list[int]) -> None:
+        """Frames of one side that are wrong still, from others than their neighbours, the nearest in time first.
+
+        A limb that two frames show far from where it was may be found from a frame beyond them.
+        """
+        wrong = {t for t in fitted if self._wrong(t)}
+        right = {self.problem.transitions.keyframe, *fitted} - wrong
+        tried = {(t, source) for t in wrong for source in right if abs(t - source) == 1}
+        for frame in sorted(wrong, key=lambda t: (min(abs(t - source) for source in right), t)):
+            for source in sorted(right, key=lambda t: (abs(t - frame), t))[:SOURCES]:
+                if (frame, source) not in tried and not self.stopped():
+                    self._try_again(frame, source)
+                    if not self._wrong(frame):
+                        right.add(frame)
+                        break
 
     def _lead(self, frame: int) -> None:
         """The start of a frame bent by its landmarks, where that leaves less."""
