@@ -12,6 +12,7 @@ import numpy as np
 from warpdef.cloud import FramePoints, draw_points
 from warpdef.geometry.closest import load_closest
 from warpdef.geometry.triangles import is_watertight
+from warpdef.quality.astray import astray_lengths
 from warpdef.quality.confidence import vertex_confidence
 from warpdef.quality.coverage import Coverage, doubled_vertices, measure_coverage
 from warpdef.quality.enclosed import inner_share
@@ -34,7 +35,11 @@ SIDE_BY_SIDE = 8
 """Frames at most that are looked at at the same time: each takes some tens of megabytes meanwhile."""
 GUESSED = 0.05
 """Share of a frame's surface far from every point from which it is told that this is a guess."""
-LAYERS = ("inner", "doubled", "layered", "blur", "exposed", "spanning", "merged") + ("overhang", "surplus", "outgrown")
+LAYERS = ("astray", "inner", "doubled", "layered", "blur", "exposed", "spanning", "merged") + (
+    "overhang",
+    "surplus",
+    "outgrown",
+)
 """Measures of where surface lies beside that of others, or where none is: fields of ``FrameQuality``."""
 _DEVIATION = np.sqrt(0.5 * np.pi)  # standard deviation of a normal distribution over the mean of its absolute values
 
@@ -144,7 +149,7 @@ def assess(
         if coverage is not None:
             compared = points - centre, placed, faces, coverage
             layers["inner"], layers["overhang"] = inner_share(*compared), overhang_share(*compared)
-            layers["merged"] = merged_share(*compared)
+            layers["merged"], layers["astray"] = merged_share(*compared), astray_lengths(points - centre, coverage)
             if eye is not None:
                 layers["exposed"] = exposed_share(*compared, eye - centre)
                 layers["spanning"] = spanning_share(*compared, eye - centre)

@@ -19,6 +19,7 @@ class FrameQuality:
                   where it is open
     misfit:       mean residual over the larger of spacing and noise
     uncovered:    share of the points that the surface does not reach
+    astray:       how far off the surface some points together are, in the larger of spacing and noise; 0 if none are
     far:          share of the surface far from every point; on a partial scan that is no fault
     unseen:       share of the surface that the frame does not show, far or not
     doubled:      share of the surface that is near points of another part, and was apart from it in the shape
@@ -53,6 +54,7 @@ class FrameQuality:
     blur: float | None
     misfit: float | None
     uncovered: float | None
+    astray: float | None
     far: float | None
     unseen: float | None
     doubled: float | None

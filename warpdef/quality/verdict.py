@@ -47,6 +47,14 @@ BOUNDS = (
         "frames that fit have 0 to 0.5 %; a hand is 1 % of a body, fingers of a hand 1 to 8 %, a limb 10 % and more",
     ),
     Bound(
+        "astray",
+        10.0,
+        _NEVER,
+        "points together lie {:.0f} spacings off the surface, as of a limb that it has lost",
+        "up to 9 on right meshes, whole or before cameras; a leg of which one camera saw a sliver, and which the mesh "
+        "has put behind the other, 14 to 21",
+    ),
+    Bound(
         "misfit",
         1.0,
         3.0,
