@@ -66,7 +66,7 @@ def _passed(found: Survey) -> str:
 def _print(folder: Path, reports: list[SequenceReport], found: Survey) -> None:
     from rich.table import Table
 
-    table = Table(title=f"{folder}: {len(reports)} sequences", title_justify="left")
+    table = Table(title=f"{folder}: {len(reports)} sequence{'s' if len(reports) != 1 else ''}", title_justify="left")
     for title in ("sequence", "kind", "frames", "vertices", "faces", "surface", "pieces", "triangles", "clouds"):
         table.add_column(title, justify="right" if title in ("frames", "vertices", "faces", "pieces") else "left")
     for report in reports:

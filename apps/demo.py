@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import filecmp
+import shlex
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -81,6 +82,7 @@ def demo(
         print_json({"report": run.result.report, "metrics": metrics})
     else:
         print_means(metrics, "Against the figure's true surface")
+        print(f"look at it: warpdef view {shlex.quote(str(output))} --html {shlex.quote(str(output))}.html")
     return EXIT_OK
 
 

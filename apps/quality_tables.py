@@ -34,7 +34,9 @@ def print_quality(assessed: Mapping[str, Any], title: str) -> None:
     Args:
         assessed: ``Assessment.as_dict()``.
     """
-    table = Table(title=title, title_justify="left", caption="% of the extent: the longest side of the shape")
+    words = "; ".join(f"{measure.short.removesuffix(' %')}: {measure.title}" for measure in MEASURES)
+    caption = f"{words}. The extent is the longest side of the shape."
+    table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
     table.add_column("frame", justify="right")
     for measure in MEASURES:
         table.add_column(measure.short, justify="right")
