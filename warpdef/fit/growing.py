@@ -24,11 +24,12 @@ from warpdef.fit.surfels import MATCHED, SeenFrame, Surfels, nearest_facing
 from warpdef.geometry.cloud_planes import unit_vectors
 from warpdef.geometry.coverage import area_of_discs
 from warpdef.geometry.sampling import mean_spacing, spread_evenly
-from warpdef.geometry.triangles import unique_edges, vertex_normals
+from warpdef.geometry.triangles import vertex_normals
 from warpdef.geometry.viewpoint import seen_normals
 from warpdef.mesh import TriMesh
 from warpdef.template.build import build, depth_by_spacing
 from warpdef.template.choose import ChosenTemplate
+from warpdef.template.closing import spanned_smallest
 from warpdef.template.keyframe import rank_keyframes
 from warpdef.template.quality import judge
 from warpdef.template.support import Support
@@ -268,19 +269,9 @@ def _template(
 
 def _closed_flat(mesh: TriMesh, support: Support) -> tuple[TriMesh, float]:
     """The same with openings of the cloud spanned by a surface that is as small as it can be; and their share."""
-    from scipy.sparse import coo_matrix, diags
-    from scipy.sparse.linalg import splu
-
     trimming = find_trimming(mesh.vertices, mesh.faces, support)
-    free, held = np.flatnonzero(trimming.level <= 0), np.flatnonzero(trimming.level > 0)
+    free = trimming.level <= 0
     share = trimming.share / (1.0 + trimming.share)
-    if not len(free) or not len(held):
+    if not free.any() or free.all():
         return mesh, share
-    a, b = unique_edges(mesh.faces).T
-    total = len(mesh.vertices)
-    ends = np.concatenate([a, b]), np.concatenate([b, a])
-    beside = coo_matrix((np.ones(2 * len(a)), ends), shape=(total, total)).tocsr()
-    laplacian = (diags(np.asarray(beside.sum(axis=1)).ravel()) - beside).tocsr()[free]
-    vertices = mesh.vertices.copy()
-    vertices[free] = splu(laplacian[:, free].tocsc()).solve(-(laplacian[:, held] @ mesh.vertices[held]))
-    return TriMesh(vertices, mesh.faces), share
+    return TriMesh(spanned_smallest(mesh.vertices, mesh.faces, free), mesh.faces), share

@@ -15,6 +15,7 @@ from warpdef.geometry.cloud_normals import estimate_normals, repair_normals
 from warpdef.geometry.coverage import objects_of
 from warpdef.geometry.sampling import mean_spacing
 from warpdef.mesh import TriMesh
+from warpdef.template.closing import closed_flatter
 from warpdef.template.cut import cut_at_zero
 from warpdef.template.even import even_triangles, remesh_open
 from warpdef.template.poisson import Backend, load_backend
@@ -202,12 +203,12 @@ def draft(
     vertices, faces, left_out = _keep_objects(vertices, faces, unit_points)
     if left_out > LEFT_OUT_WARN:
         warnings.append(f"{left_out:.0%} of the reconstructed surface lies in separate pieces and was left out")
-    support, trimming = None, None
-    if config.surface != "closed":
-        support = Support.of(unit_points, normals)
-        found = find_trimming(vertices, faces, support)
-        is_open = found.openings > 0 and (config.surface == "open" or found.share > config.far_share_max)
-        support, trimming = (support, found) if is_open else (None, None)
+    support: Support | None = Support.of(unit_points, normals)
+    trimming = find_trimming(vertices, faces, support)
+    asked_open = config.surface == "open" or (config.surface == "auto" and trimming.share > config.far_share_max)
+    if not (trimming.openings and asked_open):
+        vertices = closed_flatter(vertices, faces, trimming.opening, support)
+        support, trimming = None, None
     trimmed = 0.0
     if trimming is not None and support is not None:
         trimmed = trimming.share

@@ -54,6 +54,10 @@ class Support:
         """The area of a point near each place (M, 3), shape (M,)."""
         return self.area[self._nearest(places, 1)[1][:, 0]]
 
+    def normals_near(self, places: np.ndarray, count: int) -> np.ndarray:
+        """The mean normal of so many points nearest to each place (M, 3), shape (M, 3), not of unit length."""
+        return self.normals[self._nearest(places, count)[1]].mean(axis=1)
+
     def distance(self, places: np.ndarray) -> np.ndarray:
         """From each place (M, 3) to the nearest point, in sqrt(that point's area), shape (M,)."""
         distance, index = self._nearest(places, 1)

@@ -33,11 +33,13 @@ class Trimming:
     level:    above 0 where it stays, its contour 0 the new border  (V,)
     share:    area that goes over area that stays
     openings: patches that go
+    opening:  the number of each vertex's opening, -1 in none  (V,)
     """
 
     level: np.ndarray
     share: float
     openings: int
+    opening: np.ndarray
 
 
 def find_trimming(vertices: np.ndarray, faces: np.ndarray, support: Support) -> Trimming:
@@ -48,14 +50,15 @@ def find_trimming(vertices: np.ndarray, faces: np.ndarray, support: Support) -> 
     points = area / support.local_area(vertices)
     patch = triangles.vertex_components(faces, level <= 0)
     opening = _openings(vertices, faces, level, patch, points, support)
-    level[(patch >= 0) & ~np.append(opening, False)[patch]] = _STAYS
+    numbers = np.where(np.append(opening, False)[patch], patch, -1)
+    level[(patch >= 0) & (numbers < 0)] = _STAYS
     piece = triangles.vertex_components(faces, level > 0)
     if piece.max() > 0:
         size = np.bincount(piece[piece >= 0], points[piece >= 0])
         level[(piece >= 0) & np.append(size < ISLAND_SHARE * size.sum(), False)[piece]] = _GOES
     stays = level > 0
     share = float(area[~stays].sum() / max(area[stays].sum(), 1e-300))
-    return Trimming(level, share, int(opening.sum()))
+    return Trimming(level, share, int(opening.sum()), numbers)
 
 
 def _openings(
