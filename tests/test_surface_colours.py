@@ -103,10 +103,23 @@ def sequence() -> PointSequence:
     return PointSequence.from_arrays(clouds, normals, colors=[c / 255.0 for c in colors])
 
 
+def run_once(sequence: PointSequence, colours: Literal["still", "moving", "off"], template: TriMesh):
+    """On the CPU, which alone promises the same bits."""
+    return warpdef.reconstruct(sequence, quick(colours), template=template, device="cpu")
+
+
+@pytest.mark.parametrize(("shade", "taken"), [(0, False), (255, False), (1, True)])
+def test_colours_that_were_never_filled_are_taken_for_none(sequence, shade, taken):
+    blank = replace(sequence, colors=tuple(np.full_like(present(c), shade) for c in sequence.colors))
+    result = run_once(blank, "still", TriMesh(SPHERE, FACES))
+    assert (result.appearance is not None) == taken
+    assert any("taken for none" in w for w in result.report["warnings"]) != taken
+
+
 def test_a_run_takes_colours_over_and_its_bits_do_not_depend_on_them(sequence):
     template = TriMesh(SPHERE, FACES)
-    results = {c: warpdef.reconstruct(sequence, quick(c), template=template) for c in ("still", "moving", "off")}
-    plain = warpdef.reconstruct(replace(sequence, colors=()), quick("still"), template=template)
+    results = {c: run_once(sequence, c, template) for c in ("still", "moving", "off")}
+    plain = run_once(replace(sequence, colors=()), "still", template)
     for result in results.values():
         np.testing.assert_array_equal(result.vertices, plain.vertices)
     assert plain.appearance is None is results["off"].appearance and plain.report["colours"] is None

@@ -37,6 +37,8 @@ def find_look(
         return bare, None, []
     if own.colors is not None or own.texture is not None:
         return bare, None, ["the colours of the clouds are left behind: the template has its own look"]
+    if _nothing_painted(sequence):
+        return bare, None, ["all colours of the clouds are black, or all are white: they are taken for none"]
     clouds = sequence.all_frames(), sequence.all_normals(), sequence.all_colors()
     found = surface_colors(result.vertices, result.faces, *clouds, moving=mode == "moving")
     if found is None:
@@ -45,6 +47,12 @@ def find_look(
     told = {"mode": mode, "frames": sum(c is not None for c in sequence.colors), "unseen": round(found.unseen, 4)}
     look = own.over(Appearance(colors=found.still, frame_colors=found.moving))
     return look, told, [left] if found.unseen >= _UNSEEN_TOLD else []
+
+
+def _nothing_painted(sequence: PointSequence) -> bool:
+    """Whether every colour is the one that a field holds which a sensor or a program never filled."""
+    shades = [c for c in sequence.colors if c is not None and len(c)]
+    return bool(shades) and any(all((c == blank).all() for c in shades) for blank in (0, 255))
 
 
 def find_verdicts(
