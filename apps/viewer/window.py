@@ -15,6 +15,7 @@ from warpdef.apps.viewer.scene import Scene
 from warpdef.apps.viewer.timeline import LEFT, RIGHT, SLIDER_AT
 
 _IDLE_SECONDS = 0.01
+_SLOW_VERTICES = 50000
 
 KEYS = (
     ("space", "space", "play or pause", "play"),
@@ -193,6 +194,12 @@ class Window:
         look = self.scene.look
         at = self._colours.index(look.color) if look.color in self._colours else -1
         look.color = self._colours[(at + 1) % len(self._colours)]
+        if look.color == "error" and self._slow_to_measure():
+            self._say("distances to the surface are measured when a frame is first shown: scrubbing is slow until then")
+
+    def _slow_to_measure(self) -> bool:
+        """Whether the meshes are so large that a frame's distances take far longer than its picture."""
+        return max(len(s.data.points) for s in self.scene.surfaces if s is not None) > _SLOW_VERTICES
 
     def cloud(self) -> None:
         self.scene.look.cloud = not self.scene.look.cloud
