@@ -14,7 +14,7 @@ from warpdef.apps.quality_tables import print_quality
 from warpdef.apps.run_summary import summary_rows
 from warpdef.config import Config
 from warpdef.quality.assess import assess
-from warpdef.quality.slippage import SLIDES, UNSEEN, slip_note, slippable_motions
+from warpdef.quality.slippage import SLIDES, UNSEEN, slip_note, slippable_motions, slippable_parts
 from warpdef.result import Reconstruction
 
 BALL, FACES = icosphere(4)
@@ -85,6 +85,23 @@ def test_a_mesh_of_few_faces_is_what_it_is():
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = np.array([face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))])
     assert slippable_motions(cube, faces) == []
+
+
+def test_a_ball_beside_a_body_turns_unseen():
+    """Both together are seen to turn; an open part says nothing, as its border may be where a camera saw no further."""
+    cube = BALL / np.abs(BALL).max(axis=1, keepdims=True) * [1.0, 1.5, 2.0]
+    both = np.concatenate([cube, 0.5 * BALL + [3.0, 0.0, 0.0], BALL + [0.0, 6.0, 0.0]])
+    faces = np.concatenate([FACES, FACES + len(BALL), FACES[5:] + 2 * len(BALL)])
+    assert slippable_motions(both, faces) == []
+    found = slippable_parts(both, faces)
+    assert [(m.motion, m.part) for m in found] == [("turn", 1)] * 3
+    assert slip_note(found).startswith("any turn about (3, 0, 0) cannot be seen in a part of this shape: ")
+    assert slippable_parts(BALL, FACES) == slippable_motions(BALL, FACES)
+    two = slippable_parts(
+        np.concatenate([BALL, 0.5 * BALL + [3.0, 0.0, 0.0], cube + 9.0]),
+        np.concatenate([faces[: 2 * len(FACES)], FACES + 2 * len(BALL)]),
+    )
+    assert slip_note(two).startswith("any turn about (0, 0, 0) and any turn about (3, 0, 0) cannot be seen in a part")
 
 
 def test_nothing_is_told_of_no_surface():

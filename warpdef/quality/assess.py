@@ -21,7 +21,7 @@ from warpdef.quality.frame import FrameQuality
 from warpdef.quality.layers import merged_share
 from warpdef.quality.overhang import outgrown_shares, overhang_share, surplus_share
 from warpdef.quality.shape import ReferenceShape, ShapeChange
-from warpdef.quality.slippage import Slippable, slippable_motions
+from warpdef.quality.slippage import Slippable, slippable_parts
 from warpdef.quality.temporal import acceleration, flicker
 from warpdef.quality.verdict import DOUBTFUL, INNER_WALL, LOST, Verdict, judge
 from warpdef.sequence import name_frames
@@ -180,7 +180,7 @@ def assess(
     confidence = vertex_confidence(coverages, stretches, reference.edges, faces, vertices.shape[1])
     # Where one camera saw a part, that part's border is not the body's.
     whole = eye is None or is_watertight(faces)
-    slippable = slippable_motions(vertices[keyframe], faces) if whole else []
+    slippable = slippable_parts(vertices[keyframe], faces) if whole else []
     return Assessment(frames, [judge(frame) for frame in frames], confidence, slippable, eye is not None)
 
 

@@ -1,5 +1,7 @@
 """Rigid motions in which a whole body slides along itself: a cup that turns about its axis looks as before.
 
+So does a ball beside the body that throws it: closed parts of a mesh are asked each for itself.
+
 Where the body moved so, its points tell nothing of it, and no fit can: the mesh stays and its vertices slide. For all
 six rigid motions (Gelfand and Guibas 2004, *Shape Segmentation Using Local Slippage Analysis*, sec. 3), with the turn w
 about the centroid and the shift v,
@@ -14,18 +16,19 @@ faces of a certain width that face outwards along the surface.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from warpdef.geometry.triangles import border_sides, face_normals
+from warpdef.geometry.triangles import border_sides, face_components, face_normals, is_watertight
 
 SLIDES = 0.07
 """Share of a motion across the surface below which it can hardly be seen: 0.1 to 0.2 is the least of people, animals,
 hands, faces and cloth, 0.06 that of a cup with a handle about its axis."""
 UNSEEN = 0.01
 """The same below which it cannot be seen."""
+_PART = 0.02  # share of the surface from which a part is asked for itself
 _GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
 _BORDER = 0.2  # width of a border, in roots of the surface's area
 _TURNS = 0.3  # part of a motion of unit length that is a turn, from which it is no shift
@@ -40,15 +43,33 @@ class Slippable:
     axis:    direction of either, a unit vector
     through: a place on a turn's axis, input units; None for a shift
     seen:    share of the motion that is across the surface
+    part:    number of the part of the mesh that moves so, the others need not; None for the whole
     """
 
     motion: str
     axis: tuple[float, float, float]
     through: tuple[float, float, float] | None
     seen: float
+    part: int | None = None
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
+
+
+def slippable_parts(vertices: np.ndarray, faces: np.ndarray) -> list[Slippable]:
+    """What a mesh (V, 3), (F, 3) can do without being seen; if nothing, what each closed part of it can do."""
+    if found := slippable_motions(vertices, faces):
+        return found
+    of_face = face_components(faces)
+    areas = face_normals(vertices.astype(np.float64), faces)[1]
+    share = np.bincount(of_face, areas) / max(float(areas.sum()), np.finfo(float).tiny)
+    parts = np.flatnonzero(share >= _PART) if len(share) > 1 else []
+    for number, part in enumerate(parts):
+        used, own = np.unique(faces[of_face == part], return_inverse=True)
+        own = own.reshape(-1, 3)
+        if is_watertight(own):
+            found += [replace(motion, part=number) for motion in slippable_motions(vertices[used], own)]
+    return found
 
 
 def slippable_motions(vertices: np.ndarray, faces: np.ndarray) -> list[Slippable]:
@@ -121,13 +142,18 @@ def slip_note(motions: list[Slippable]) -> str:
     """One line for the end of a run; empty if there is none of them."""
     if not motions:
         return ""
-    turns = [m for m in motions if m.motion == "turn"]
-    names = [f"a turn about the axis {_text(m.axis)} through {_text(m.through)}" for m in turns if m.through]
-    if len(turns) == 3:
-        names = [f"any turn about {_text(turns[0].through or turns[0].axis)}"]
-    names += [f"a shift along {_text(m.axis)}" for m in motions if m.motion == "shift"]
+    names: list[str] = []
+    for part in sorted({m.part for m in motions}, key=lambda part: -1 if part is None else part):
+        of_part = [m for m in motions if m.part == part]
+        turns = [m for m in of_part if m.motion == "turn"]
+        if len(turns) == 3:
+            names.append(f"any turn about {_text(turns[0].through or turns[0].axis)}")
+        else:
+            names += [f"a turn about the axis {_text(m.axis)} through {_text(m.through)}" for m in turns if m.through]
+        names += [f"a shift along {_text(m.axis)}" for m in of_part if m.motion == "shift"]
     how = "cannot" if max(m.seen for m in motions) < UNSEEN else "can hardly"
-    return f"{' and '.join(names)} {how} be seen in this shape: where it moved so, vertices may have slid along it"
+    where = "in this shape" if all(m.part is None for m in motions) else "in a part of this shape"
+    return f"{' and '.join(names)} {how} be seen {where}: where it moved so, vertices may have slid along it"
 
 
 def _text(vector: tuple[float, float, float]) -> str:
