@@ -66,6 +66,9 @@ def resume_to_folder(resumed: Path, source: Path | None, output: Path | None, ho
     from warpdef.fit.saving import Saved
 
     with claimed(resumed):
+        # Of a run that is through this is told, whatever else was laid into its folder.
+        if resumed.is_dir() and not RunFolder(resumed.resolve(), True).checkpoint.exists():
+            raise InputError(_nothing_to_resume(resumed))
         unfinished = RunFolder.prepare(resumed, resume=True)
         if not unfinished.checkpoint.exists():
             raise InputError(_nothing_to_resume(resumed))
