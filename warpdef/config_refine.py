@@ -48,7 +48,7 @@ class RefineConfig:
     """Step of the common shape towards its optimum in a round; above 1 overshoots, which converges faster."""
     tolerance: float = 1e-3
     """Residual, relative to the right-hand side, at which a frame's linear solve stops."""
-    momentum: float = 0.9
+    momentum: float = 0.7
     """Share of the last round's way by which a vertex goes on before the next (heavy ball), its rotation fitted anew.
 
     0 for none. Only where rotations of neighbours are tied."""
