@@ -73,9 +73,9 @@ def test_colours_in_glb(result, tmp_path, capfd):
         primitive = glb.json["meshes"][0]["primitives"][0]
         base = glb.numbers(primitive["attributes"]["COLOR_0"])
         np.testing.assert_allclose(base[:, :3], linear_colors(colors[0]), atol=1e-5)
-        for t, target in enumerate(primitive["targets"], 1):
+        for target, shades in zip(primitive["targets"], colors[1:], strict=True):
             shown = base + glb.numbers(target["COLOR_0"])
-            np.testing.assert_allclose(shown[:, :3], linear_colors(colors[t]), atol=5e-5)
+            np.testing.assert_allclose(shown[:, :3], linear_colors(shades), atol=5e-5)
             np.testing.assert_array_equal(shown[:, 3], 1.0)
 
 

@@ -92,9 +92,9 @@ def test_usd_stands_there_by_its_transform(tmp_path):
 def test_folders_hold_all_digits(tmp_path, suffix):
     trimesh = pytest.importorskip("trimesh")
     export(FAR, tmp_path / f"bar.{suffix}")
-    for t, file in enumerate(sorted((tmp_path / f"bar.{suffix}").iterdir())):
+    for file, places in zip(sorted((tmp_path / f"bar.{suffix}").iterdir()), PLACES, strict=True):
         mesh = trimesh.load(file, process=False, maintain_order=True)
-        np.testing.assert_allclose(mesh.vertices, PLACES[t], rtol=0, atol=CLOSE)
+        np.testing.assert_allclose(mesh.vertices, places, rtol=0, atol=CLOSE)
         np.testing.assert_array_equal(mesh.faces, BAR.faces)
 
 

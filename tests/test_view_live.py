@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from test_view_window import display, needs_screen, screen  # noqa: F401
 from view_samples import BAR, VERTICES, drawing  # noqa: F401
 
 from warpdef.apps.viewer import live
-from warpdef.apps.viewer.live import GIVEN, STOP, TAKEN, LiveView
+from warpdef.apps.viewer.live import GIVEN, TAKEN, LiveView
 from warpdef.apps.viewer.live_window import Allowance
 from warpdef.mesh import MeshSequence
 from warpdef.progress import Progress
@@ -194,6 +193,4 @@ def test_the_window_ends_with_its_run(tmp_path):
     """A run that was killed leaves no window behind."""
     command = [sys.executable, "-m", "warpdef.apps.viewer.live_window", str(tmp_path), "a test", "1"]
     pytest.importorskip("pyvista")
-    begun = time.monotonic()
     assert subprocess.run(command, timeout=60).returncode == 0
-    assert time.monotonic() - begun < 60 and STOP != GIVEN
