@@ -210,6 +210,13 @@ def frames_in_subfolder(p: Path) -> Path:
     return p
 
 
+def cameras_in_subfolders(p: Path) -> Path:
+    for camera in ("cam0", "cam1"):
+        (p / camera).mkdir()
+        save_frames(p / camera, "1.npy", "2.npy")
+    return p
+
+
 def archive_in_folder(p: Path) -> Path:
     np.savez(p / "all.npz", points=np.zeros((2, N, 3)))
     return p
@@ -260,6 +267,7 @@ BAD_SEQUENCES = [
     (mixed_suffixes, "files of one kind, got 2 .(npy|obj) and 2 .(npy|obj)"),
     (unnumbered_among_numbered, "a number in every file name, got 'least.npy' and one file with a number"),
     (frames_in_subfolder, "folder 'clouds' has some: give that"),
+    (cameras_in_subfolders, "folders 'cam0' and 'cam1' have files of the same names: .* into one file"),
     (archive_in_folder, "give the file 'all.npz' itself"),
     (other_suffixes, r"\.npy \.pcd .* \.npz\), got other suffixes \(\.docx\)"),
     (single_file, "got one file; give the folder"),

@@ -205,12 +205,23 @@ def _frame_folders(entries: Sequence[Path], suffixes: Sequence[str]) -> list[Pat
 
 def _what_else(entries: Sequence[Path], suffixes: Sequence[str]) -> str:
     """What a folder without frames holds, and what to do about it."""
+    inside: dict[str, set[str]] = {}
     for entry in sorted(entries):
         try:
-            if entry.is_dir() and any(p.suffix.lower() in suffixes for p in entry.iterdir()):
-                return f"none; its folder '{entry.name}' has some: give that"
+            found = {p.name for p in entry.iterdir() if p.suffix.lower() in suffixes} if entry.is_dir() else None
         except OSError:
             continue  # not ours to look into
+        if found:
+            inside[entry.name] = found
+    if inside:
+        first, *others = inside
+        alike = [name for name in others if len(inside[name] & inside[first]) > 1]
+        if alike:
+            return (
+                f"none; its folders '{first}' and '{alike[0]}' have files of the same names: give one of them, or, if "
+                "these are cameras in one place, put the points of each moment into one file"
+            )
+        return f"none; its folder '{first}' has some: give that"
     archives = sorted(p.name for p in entries if p.suffix.lower() == ".npz")
     if archives:
         return f"none; give the file '{archives[0]}' itself"
