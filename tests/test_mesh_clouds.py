@@ -10,6 +10,7 @@ import trimesh
 from present import present
 from scipy.spatial import cKDTree
 from synthetic import icosphere
+from texture_samples import png
 from trimesh.exchange.dae import export_collada
 from trimesh.exchange.gltf import export_gltf
 
@@ -145,3 +146,33 @@ def test_a_face_that_names_no_point_is_refused(tmp_path: Path, wrong: int) -> No
         (tmp_path / f"{t}.ply").write_text("\n".join([*head, *lines]))
     with pytest.raises(InputError, match=r"expected vertex indices in 0\.\.2561, got .*damaged"):
         read_clouds(tmp_path)
+
+
+RAMP = np.stack(np.broadcast_arrays(np.arange(256), np.arange(256)[::-1, None], 7), axis=2).astype(np.uint8)
+"""An image whose red is 255 u and whose green is 255 v."""
+
+
+def textured(path: Path, vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray) -> None:
+    lines = ["mtllib a.mtl", "usemtl skin", *(f"v {x} {y} {z}" for x, y, z in vertices.tolist())]
+    lines += [f"vt {u} {v}" for u, v in uv.tolist()]
+    lines += ["f " + " ".join(f"{i}/{i}" for i in face) for face in (faces + 1).tolist()]
+    path.write_text("\n".join(lines))
+    (path.parent / "a.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
+
+
+@pytest.mark.parametrize("rounds", [1, 4])
+def test_points_of_textured_meshes_have_the_colours_of_the_image(tmp_path, rounds):
+    """Vertices where there are enough of them, and points drawn from the faces."""
+    vertices, faces = icosphere(rounds)
+    for t in range(3):
+        textured(tmp_path / f"{t}.obj", vertices, faces, 0.5 + 0.49 * vertices[:, :2])
+    (tmp_path / "skin.png").write_bytes(png(RAMP))
+    sequence = read_clouds(tmp_path)
+    points, colors = sequence.points[1], present(present(sequence.colors)[1])
+    expected = 255.0 * (0.5 + 0.49 * points[:, :2])
+    assert len(points) >= 2562 and np.abs(colors[:, :2] - expected).max() < 2.0 and (colors[:, 2] == 7).all()
+    (tmp_path / "skin.png").unlink()
+    bare = read_clouds(tmp_path)
+    assert not bare.colors
+    (line,) = [w for w in bare.warnings if "without its texture image" in w]
+    assert "'skin.png', which is not in its folder; put the image beside it (and 2 frames more)" in line

@@ -18,6 +18,8 @@ from warpdef.files.formats import CLOUD_SUFFIXES, FRAME_SUFFIXES, read_surface
 from warpdef.files.frame_files import WHAT_TO_DO, FrameSlot, find_frames, select_frames
 from warpdef.files.mesh_clouds import cloud_of
 from warpdef.files.numpy_files import write_npz
+from warpdef.files.texture import read_texture
+from warpdef.files.texture_colors import pixels_of
 from warpdef.sequence import MIN_FRAMES, PointSequence
 
 
@@ -74,11 +76,13 @@ def read_clouds(
 
 @dataclass
 class ReadingNotes:
-    """What the files said of their columns, by frame, what is left behind, and whose points were drawn from faces."""
+    """What the files said of their columns, by frame, what is left behind, whose points were drawn from faces, and
+    which images were missing."""
 
     lines: dict[str, str] = field(default_factory=dict)
     drawn: list[str] = field(default_factory=list)
     passed: dict[str, None] = field(default_factory=dict)
+    untextured: list[str] = field(default_factory=list)
 
     @property
     def line(self) -> str:
@@ -94,6 +98,9 @@ class ReadingNotes:
             notes.append(f"the columns differ: '{self.line}' in the first frame, '{self.lines[other]}' in {other}")
         if self.passed:
             notes.append(left_behind(list(self.passed)))
+        if self.untextured:
+            more = len(self.untextured) - 1
+            notes.append(self.untextured[0] + (f" (and {more} frames more)" if more else ""))
         if self.drawn:
             which = f"{len(self.drawn)} frames are meshes of few or uneven vertices"
             notes.append(f"{which}: their points are drawn evenly from the faces")
@@ -112,7 +119,16 @@ def _read_slot(slot: FrameSlot, columns: Sequence[str], told: ReadingNotes) -> F
     if surface.columns:
         told.lines[slot.name] = surface.columns
     told.passed |= dict.fromkeys(surface.passed)
-    cloud, drawn = cloud_of(surface, slot.name)
+    pixels = None
+    if (
+        surface.colors is None
+        and surface.faces is not None
+        and (surface.uv is not None or surface.corner_uv is not None)
+    ):
+        texture, notes = read_texture(slot.file(), surface.named)
+        told.untextured += notes
+        pixels = None if texture is None else pixels_of(texture)
+    cloud, drawn = cloud_of(surface, slot.name, pixels)
     told.drawn += [slot.name] if drawn else []
     return cloud
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from warpdef.cloud import FramePoints
 from warpdef.files.surface import Surface
+from warpdef.files.texture_colors import colors_at, uv_of_places, uv_of_vertices
 from warpdef.geometry.sampling import sample_surface
 from warpdef.geometry.triangles import face_areas, is_watertight, signed_volume
 from warpdef.mesh import check_faces
@@ -37,11 +38,12 @@ def is_even(surface: Surface) -> bool:
     return not squares > 0 or float(areas.sum()) ** 2 / squares >= EVEN * len(points)
 
 
-def cloud_of(surface: Surface, name: str) -> tuple[FramePoints, bool]:
+def cloud_of(surface: Surface, name: str, pixels: np.ndarray | None = None) -> tuple[FramePoints, bool]:
     """Points, normals and colours of one frame, and whether they were drawn from its faces.
 
     Args:
         name: of the frame, which the draw depends on, so that frames share no places.
+        pixels: its texture image (H, W, 3), whose colours its points take where they have none of their own.
 
     Raises:
         InputError: a face names a point that is not there.
@@ -50,12 +52,19 @@ def cloud_of(surface: Surface, name: str) -> tuple[FramePoints, bool]:
     if faces is not None and len(faces):
         faces = check_faces(faces, len(surface.points), name)
     if faces is None or is_even(surface):
-        return FramePoints(surface.points, surface.normals, surface.colors), False
+        colors = surface.colors
+        if colors is None and pixels is not None and faces is not None:
+            uv = uv_of_vertices(surface.uv, surface.corner_uv, faces, len(surface.points))
+            colors = None if uv is None else colors_at(pixels, uv)
+        return FramePoints(surface.points, surface.normals, colors), False
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     points, normals, face, weights = sample_surface(surface.points, faces, max(POINTS_LEAST, len(surface.points)), rng)
     colors = surface.colors
     if colors is not None:
         mixed = np.einsum("nk,nkc->nc", weights, colors[faces[face], :3].astype(np.float64))
         colors = np.rint(mixed).astype(np.uint8)
+    elif pixels is not None:
+        uv = uv_of_places(surface, face, weights)
+        colors = None if uv is None else colors_at(pixels, uv)
     outward = normals * np.sign(signed_volume(surface.points, faces)) if is_watertight(faces) else None
     return FramePoints(points, outward, colors), True
