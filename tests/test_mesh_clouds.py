@@ -13,6 +13,8 @@ from synthetic import icosphere
 from texture_samples import png
 from trimesh.exchange.dae import export_collada
 from trimesh.exchange.gltf import export_gltf
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 from warpdef.errors import InputError
 from warpdef.files import read_clouds, read_mesh, write_ply
@@ -176,3 +178,13 @@ def test_points_of_textured_meshes_have_the_colours_of_the_image(tmp_path, round
     assert not bare.colors
     (line,) = [w for w in bare.warnings if "without its texture image" in w]
     assert "'skin.png', which is not in its folder; put the image beside it (and 2 frames more)" in line
+
+
+def test_vertices_of_a_textured_scene_have_the_colours_of_the_image(tmp_path):
+    image = pytest.importorskip("PIL.Image").fromarray(RAMP)
+    material = PBRMaterial(baseColorTexture=image)
+    look = TextureVisuals(uv=0.5 + 0.49 * SPHERE[:, :2], material=material)
+    trimesh.Trimesh(SPHERE, FACES, visual=look, process=False).export(tmp_path / "a.glb")
+    surface = read_surface(tmp_path / "a.glb", CLOUD_SUFFIXES)
+    expected = 255.0 * (0.5 + 0.49 * surface.points[:, :2])
+    assert np.abs(present(surface.colors)[:, :2] - expected).max() < 2.0

@@ -1,8 +1,8 @@
 """Meshes of other programs through trimesh: .stl .glb .gltf .3mf .dae, their parts put together, in the scene's place.
 
 These formats keep no shared vertices, or split them where an image has a seam: vertices at one place are merged, so
-that the surface hangs together. Shape and colours of vertices are taken, images passed over. 3MF and Collada need the
-extra ``warpdef[meshes]``.
+that the surface hangs together. Shape and colours are taken, those of an image at the places of the vertices. 3MF
+and Collada need the extra ``warpdef[meshes]``.
 """
 
 from __future__ import annotations
@@ -67,10 +67,26 @@ def _kind(part: Any) -> str:
 
 def _colors(parts: list[Any]) -> np.ndarray | None:
     """Colours of the vertices of all parts, (N, 3) uint8, where all of them have some."""
-    found = [part.visual.vertex_colors if _kind(part) == "vertex" else getattr(part, "colors", None) for part in parts]
+    found = [_colors_of(part) for part in parts]
     if not all(c is not None and np.shape(c) == (len(part.vertices), 4) for c, part in zip(found, parts, strict=True)):
         return None
     return np.concatenate([np.asarray(c, dtype=np.uint8)[:, :3] for c in found])
+
+
+def _colors_of(part: Any) -> Any:
+    """Colours of one part's vertices: its own, or its image's at their places; else None."""
+    if _kind(part) == "vertex":
+        return part.visual.vertex_colors
+    if _kind(part) != "texture":
+        return getattr(part, "colors", None)
+    material = part.visual.material
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    if image is None or part.visual.uv is None:
+        return None
+    try:
+        return part.visual.to_color().vertex_colors
+    except Exception:  # of the library that decodes images: a mesh without its image is still a mesh
+        return None
 
 
 def _merged(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
