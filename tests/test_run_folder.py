@@ -11,6 +11,7 @@ import pytest
 from present import present
 from run_folder_samples import FACES, VERTICES, drop_report, entries, full_disk, save
 
+import warpdef
 from warpdef.config import Config, OptimiserConfig
 from warpdef.errors import InputError
 from warpdef.files import read_mesh, read_mesh_frames, read_mesh_sequence
@@ -48,6 +49,21 @@ def test_other_readers_take_a_run(tmp_path):
         np.testing.assert_array_equal([m.vertices for m in read_mesh_frames(path, slice(9, 12))], VERTICES[9:])
     assert entries(out / "meshes") == [f"{i:04d}.ply" for i in range(12)]
     np.testing.assert_array_equal(read_mesh(out / "meshes" / "0003.ply").vertices, VERTICES[3])
+
+
+def test_a_result_in_python_becomes_a_folder(tmp_path):
+    trust = np.full(VERTICES.shape[:2], 9, dtype=np.uint8)
+    config = Config(seed=7)
+    result = warpdef.Reconstruction(VERTICES, FACES, 5, config, {"warnings": []}, [{"loss": 1.0}], confidence=trust)
+    out = warpdef.save_run(result, tmp_path / "out")
+    run = warpdef.load_run(out)
+    np.testing.assert_array_equal(run.vertices, VERTICES)
+    np.testing.assert_array_equal(present(run.confidence), trust)
+    assert (run.keyframe, run.config, run.names[3]) == (5, config, "frame 3")
+    with pytest.raises(InputError, match="already exists"):
+        warpdef.save_run(result, out)
+    names = [f"{t}.ply" for t in range(len(VERTICES))]
+    assert warpdef.load_run(warpdef.save_run(result, out, names, overwrite=True)).names == tuple(names)
 
 
 def test_a_result_obeys_the_umask(tmp_path):

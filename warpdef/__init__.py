@@ -33,6 +33,7 @@ _HOMES = {
     "read_mesh_sequence": "warpdef.files",
     "reconstruct": "warpdef.pipeline",
     "sample_sequence": "warpdef.truth.sample",
+    "save_run": "warpdef.files.saved_run",
     "walking_figure": "warpdef.truth.figure",
 }
 

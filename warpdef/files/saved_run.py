@@ -1,9 +1,9 @@
-"""A run folder read back: the result with its configuration, its report and, when asked for, its motion."""
+"""A result as a run folder, and back: with its configuration, its report and, when asked for, its motion."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,10 +19,10 @@ from warpdef.files.disk import must_exist, read_bytes, reason
 from warpdef.files.json_text import json_text
 from warpdef.files.mesh_files import read_mesh_sequence
 from warpdef.files.numpy_files import Npz
-from warpdef.files.run_folder import REQUIRED, TEXTURES, write_text
+from warpdef.files.run_folder import REQUIRED, TEXTURES, RunFolder, write_text
 from warpdef.files.texture import read_texture_file
 from warpdef.mesh import MeshSequence
-from warpdef.result import Moving
+from warpdef.result import Moving, Reconstruction
 
 if TYPE_CHECKING:
     from warpdef.motion.grid_motion import GridMotion
@@ -127,6 +127,35 @@ def load_run(path: Path | str) -> SavedRun:
     if image is not None and (appearance.uv is not None or appearance.corner_uv is not None):
         appearance = replace(appearance, texture=read_texture_file(image))
     return SavedRun(path, meshes, keyframe, names, load_config(path / "config.toml"), report, appearance, confidence)
+
+
+def save_run(
+    result: Reconstruction, path: Path | str, names: Sequence[str] | None = None, *, overwrite: bool = False
+) -> Path:
+    """Write what ``reconstruct`` returned as a run folder, for ``load_run`` and for every command; whole or not at all.
+
+    Args:
+        names: of its T frames, as ``PointSequence.frame_names``; "frame 0", "frame 1", ... if not given.
+        overwrite: replace a result that stands there.
+
+    Returns:
+        The folder, absolute.
+
+    Raises:
+        InputError: something stands there, or it cannot be written.
+    """
+    return RunFolder.prepare(path, overwrite).save(
+        vertices=result.vertices,
+        faces=result.faces,
+        keyframe=result.keyframe,
+        config=result.config,
+        report=result.report,
+        steps=result.steps,
+        names=[f"frame {t}" for t in range(len(result.vertices))] if names is None else names,
+        motion=result.motion,
+        appearance=result.appearance,
+        confidence=result.confidence,
+    )
 
 
 def write_metrics(path: Path | str, metrics: Mapping[str, Any]) -> Path:
