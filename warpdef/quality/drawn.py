@@ -34,7 +34,8 @@ class Patches:
             asked = np.sort(np.random.default_rng(0).choice(count, _PATCHES, replace=False))
         start, end = np.concatenate([edges, edges[:, ::-1]]).T
         edge = vertices[end] - vertices[start]
-        star = csr_matrix((np.ones(len(start)), (start, end)), shape=(count, count)) + identity(count, format="csr")
+        linked = csr_matrix((np.ones(len(start)), (start, end)), shape=(count, count))
+        star = csr_matrix(linked + identity(count, format="csr"))
         patch = star[asked] @ star
         patch.data[:] = 1.0
 
