@@ -6,13 +6,14 @@ from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import synthetic
 from leg_samples import DEGREE, body
 from scipy.spatial import cKDTree
 
 from warpdef.config import Config
 from warpdef.device import find_device
-from warpdef.fit.bending import FAULTLESS, NODES, Bending, SeenCloud
+from warpdef.fit.bending import FAULTLESS, NODES, Bending, SeenCloud, worth
 from warpdef.fit.embedded import DeformationGraph, Pose
 from warpdef.fit.follow import follow
 from warpdef.fit.optimise import Optimiser
@@ -92,6 +93,25 @@ def test_fingers_that_swing_past_their_neighbours_places_find_their_own():
     pose = bending.onto(cloud, bending.still())
     assert np.linalg.norm(bending.place(pose) - there, axis=1).max() < 0.15
     assert bending.fault(cloud, pose) < FAULTLESS < bending.fault(cloud, bending.still())
+
+
+def test_fingers_that_went_astray_in_the_frame_before_find_their_places_from_rest():
+    """Fingers that have changed places: no way from there finds back."""
+    rest, faces = hand()
+    cloud = SeenCloud.of(rest, np.tile(EYE, (len(rest), 1)))
+    bending, changed = bending_of(rest, faces), rest.copy()
+    for place, finger in ((0.3, 0.6), (-0.3, 0.9)):
+        changed[(rest[:, 1] > 0.1) & (rest[:, 0] > finger - 0.31) & (rest[:, 0] < finger), 0] += place
+    astray = bending.pose_of(changed)
+    assert bending.best(cloud, astray)[1] > FAULTLESS
+    pose, left = bending.best(cloud, astray, other=bending.still())
+    assert left < FAULTLESS
+    assert np.linalg.norm(bending.place(pose) - rest, axis=1).max() < 0.1
+
+
+@pytest.mark.parametrize(("fault", "enough"), [(0.4, 0.2), (0.05, 0.03), (0.02, 0.017)])
+def test_from_elsewhere_a_frame_is_bent_for_half_of_its_fault_or_if_that_makes_it_right(fault, enough):
+    assert worth(fault) == pytest.approx(enough)
 
 
 def test_a_finger_on_the_place_of_another_is_a_fault():

@@ -97,14 +97,18 @@ class _Told:
     """A bending whose poses are the frames they came from, last first, and whose faults are told."""
 
     def __init__(self, faults: dict[tuple[int, ...], float]) -> None:
-        self.faults, self.bends = faults, list[tuple[int, ...]]()
+        self.faults, self.bends, self.from_rest = faults, list[tuple[int, ...]](), set[int]()
 
     def still(self) -> tuple[int, ...]:
         return ()
 
-    def best(self, cloud: int, start: tuple[int, ...], usual: float) -> tuple[tuple[int, ...], float]:
+    def best(
+        self, cloud: int, start: tuple[int, ...], usual: float, other: tuple[int, ...] | None = None
+    ) -> tuple[tuple[int, ...], float]:
         self.bends.append((cloud, *start))
-        return self.bends[-1], self.faults.get(self.bends[-1], 0.02)
+        if other == self.still():
+            self.from_rest.add(cloud)
+        return self.bends[-1], self.faults.get(self.bends[-1], 0.01)
 
     def place(self, pose: tuple[int, ...]) -> np.ndarray:
         return np.full((len(BODY.vertices[0]), 3), float(len(pose)))
@@ -116,14 +120,11 @@ BACK = (10, 11, 10, 9, 8, 7)  # frame 10 once more, from 11
 @pytest.mark.parametrize(
     ("faults", "recover", "tried_again", "kept"),
     [
-        ({BACK[2:]: 0.08}, True, True, True),  # 0.02 is less than half
-        ({BACK[2:]: 0.08, BACK: 0.05}, True, True, False),
-        (
-            {BACK[2:]: 0.08, BACK[1:]: 0.06, (12, *BACK[1:]): 0.05},
-            True,
-            False,
-            False,
-        ),  # the one behind is hardly better
+        ({BACK[2:]: 0.08, BACK: 0.035}, True, True, True),  # less than half
+        ({BACK[2:]: 0.08, BACK: 0.05}, True, True, False),  # still wrong
+        ({BACK[2:]: 0.034, BACK: 0.028}, True, True, True),  # right now
+        ({BACK[2:]: 0.02, BACK: 0.018}, True, True, False),  # hardly better
+        ({BACK[2:]: 0.014}, True, False, False),  # no fault
         ({BACK[2:]: 0.08}, False, False, False),
     ],
 )
@@ -143,3 +144,5 @@ def test_what_one_camera_saw_is_tried_from_behind(monkeypatch, faults, recover, 
     assert len(followed) == FRAMES - 1 and bent == [10] * kept and ((10, 11) in settled) == kept
     assert (BACK in told.bends) == tried_again and len(told.bends) == FRAMES - 1 + tried_again
     assert placed == (len(BACK) if kept else len(BACK) - 2)
+    # All from rest as well, but those whose neighbour is at rest.
+    assert told.from_rest == set(range(FRAMES)) - {KEYFRAME - 1, KEYFRAME, KEYFRAME + 1}

@@ -10,7 +10,8 @@ did not, it is pushed out of sight, gently.
 
 Where a finger moves by more than the gap to the next, nearest points lead it to the place of another. Then points are
 shared out first (``transport``), which no finger can have twice; but where fingers are hidden that leads others astray.
-So both ways are gone, and what leaves less uncovered, doubled and stretched is taken.
+So both ways are gone, and what leaves less uncovered, doubled and stretched is taken. A finger that went astray leads
+the next frames astray, too: points are shared out once more by the mesh at rest, whose fingers are apart.
 
 Places and normals are matched together: nearest neighbours in the six numbers (x, FACING s n), s the point spacing.
 """
@@ -59,6 +60,9 @@ FAULTLESS = 0.015
 """Fault up to which no other way is tried."""
 BETTER = 0.85
 """Share of a fault below which the other way is taken: by the first what is hidden stays nearer to where it was."""
+HALF, RIGHT = 0.5, 0.03
+"""From another start than the frame before: share of its fault that is better beyond doubt, as a leg found again leaves
+0.3 to 0.4 of it; and fault below which ``BETTER`` will do. What is wrong either way stays where it was."""
 ON = 4.0
 """Distance in (x, FACING s n), in point spacings, up to which a point and a vertex meet."""
 ELSEWHERE = 1.5
@@ -125,6 +129,11 @@ class _Sample:
         return vertex_normals(placed, self.faces)
 
 
+def worth(fault: float) -> float:
+    """Fault below which a pose found from another start is taken for one of this fault."""
+    return max(HALF * fault, min(BETTER * fault, RIGHT))
+
+
 class Bending:
     """A mesh at rest, (V, 3) with faces (F, 3) and edges (E, 2), and the graph that bends it."""
 
@@ -161,21 +170,24 @@ class Bending:
         arguments as ``best``."""
         return self.best(cloud, start, usual)[0]
 
-    def best(self, cloud: SeenCloud, start: Pose, usual: float = 0.0) -> tuple[Pose, float]:
-        """That pose and its fault.
+    def best(self, cloud: SeenCloud, start: Pose, usual: float = 0.0, other: Pose | None = None) -> tuple[Pose, float]:
+        """That pose and its fault; by shares from an ``other`` pose as well, if there is one.
 
-        One way is enough where it leaves no more than the ``usual`` fault, that of the frame before: what no way could
-        mend there is the shape's.
+        What is found is enough where it leaves no more than the ``usual`` fault, that of the frame before: what no way
+        could mend there is the shape's.
         """
         near = self._by_nearest(cloud.thinned(COARSE), start, COARSE_SCHEDULE, self._coarse)
-        near = self._by_nearest(cloud, near, SCHEDULE, self._chosen, start)
-        left = self.fault(cloud, near)
-        if left <= max(FAULTLESS, usual):
-            return near, left
-        shared = self._by_shares(cloud.thinned(SHARED), start)
-        shared = self._by_nearest(cloud, shared, SCHEDULE, self._chosen, start)
-        instead = self.fault(cloud, shared)
-        return (shared, instead) if instead < BETTER * left else (near, left)
+        found = self._by_nearest(cloud, near, SCHEDULE, self._chosen, start)
+        left = self.fault(cloud, found)
+        for begin in (start, other):
+            if begin is None or left <= max(FAULTLESS, usual):
+                break
+            shared = self._by_shares(cloud.thinned(SHARED), begin)
+            shared = self._by_nearest(cloud, shared, SCHEDULE, self._chosen, begin)
+            instead = self.fault(cloud, shared)
+            if instead < (BETTER * left if begin is start else worth(left)):
+                found, left = shared, instead
+        return found, left
 
     def fault(self, cloud: SeenCloud, pose: Pose) -> float:
         """Shares of points uncovered, of vertices on the place of others, of edges stretched, and half of the share of

@@ -9,8 +9,8 @@ neighbour's pose, coarse to fine (``bending``). A mesh that hangs over the end o
 What fits better is kept; what stays lost is tried once more from the frame behind it.
 
 What one camera saw is followed without the grids: the template itself is bent onto one frame after the other
-(``bending``), each from the pose of its inner neighbour, before the vertex stage fits it. What that leaves far worse
-than the frame behind is tried once more from there, too.
+(``bending``), each from the pose of its inner neighbour or from rest, before the vertex stage fits it. What has a fault
+then is tried once more from the frame behind.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from warpdef.fit.bending import FAULTLESS, Bending, SeenCloud
+from warpdef.fit.bending import FAULTLESS, Bending, SeenCloud, worth
 from warpdef.fit.embedded import Pose
 from warpdef.fit.measures import stretched_share
 from warpdef.fit.objective import Objective
@@ -38,9 +38,6 @@ from warpdef.kernels.ways import Way
 
 STRETCHED_MAX = 0.02
 """Share of such edges from which a frame went wrong, even if all points are covered."""
-WORSE, HALF = 1.5, 0.5
-"""Fault of a frame that one camera saw, over that of the frame behind it, from which it is tried from there; and of its
-own, below which that is taken. A leg found again leaves 0.3 to 0.4, a hand that is otherwise wrong 0.8."""
 SOURCES = 4
 """Frames that are right from which one that is wrong is tried, at most."""
 _ASKED = 20_000  # points of a frame, evenly spread, that tell what is not covered: enough for any limb
@@ -116,14 +113,16 @@ class _Walk:
         """Frames of one side, of what one camera saw, in order."""
         ends, fitted = self.problem.transitions, list[int]()
         bending = self.bending if self.starts is None else None
-        poses, usual = {} if bending is None else {ends.keyframe: bending.still()}, 0.0
+        still = None if bending is None else bending.still()
+        poses, usual = {} if still is None else {ends.keyframe: still}, 0.0
         faults: dict[int, float] = {}
         for s in transitions:
             source, target = int(ends.source[s]), int(ends.target[s])
             if self.stopped():
                 break
             if bending is not None:
-                poses[target], usual = bending.best(self._seen_cloud(target), poses[source], usual)
+                rest = None if source == ends.keyframe else still
+                poses[target], usual = bending.best(self._seen_cloud(target), poses[source], usual, rest)
                 faults[target] = usual
                 self.objective.vertices[target].assign(bending.place(poses[target]).astype(np.float32))
             else:
@@ -134,13 +133,13 @@ class _Walk:
             fitted.append(target)
         if bending is not None and self.problem.config.refine.recover:
             for inner, outer in _from_behind(fitted):
-                if faults[inner] > max(FAULTLESS, WORSE * faults[outer]) and not self.stopped():
+                if faults[inner] > FAULTLESS and not self.stopped():
                     self._bend_back(inner, outer, poses, faults)
         return fitted
 
     def _bend_back(self, inner: int, outer: int, poses: dict[int, Pose], faults: dict[int, float]) -> None:
-        """A frame that one camera saw from the pose of the one behind it, if that leaves ``HALF`` of its fault."""
-        cloud, enough = self._seen_cloud(inner), HALF * faults[inner]
+        """A frame that one camera saw from the pose of the one behind it, if what that leaves is worth it."""
+        cloud, enough = self._seen_cloud(inner), worth(faults[inner])
         pose, left = self.bending.best(cloud, poses[outer], enough)
         if left < enough:
             poses[inner], faults[inner] = pose, left
