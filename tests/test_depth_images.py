@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from present import present
 
 import warpdef
 from warpdef.errors import InputError
@@ -62,6 +63,22 @@ def test_two_cameras_of_their_own_that_move_or_stand(tmp_path):
     np.testing.assert_array_equal(read_clouds(path).points[3], np.concatenate(expected))
 
 
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_an_npz_a_frame(tmp_path, cameras):
+    poses = np.stack([np.eye(4), TURN])
+    half = np.broadcast_to(np.arange(WIDTH) < WIDTH // 2, (HEIGHT, WIDTH))
+    for t in range(FRAMES):
+        one = {"depth": DEPTH[t], "K": K, "colors": COLORS[t], "valid": half}
+        two = {"depth": np.stack([DEPTH[t], DEPTH[t]]), "K": K, "poses": poses, "colors": np.stack([COLORS[t]] * 2)}
+        np.savez(tmp_path / f"{t}.npz", **(one if cameras == 1 else two))
+    sequence = read_clouds(tmp_path)
+    used = np.where(half, DEPTH[2], 0) if cameras == 1 else DEPTH[2]
+    expected = [warpdef.points_of_depth(used, K, pose) for pose in poses[:cameras]]
+    np.testing.assert_array_equal(sequence.points[2], np.concatenate(expected))
+    shades = COLORS[2][np.nan_to_num(used) > 0]
+    np.testing.assert_array_equal(sequence.colors[2], np.concatenate([shades] * cameras))
+
+
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
@@ -94,7 +111,7 @@ def test_rows_that_are_no_points_are_left_out(tmp_path, name, kind):
     sequence = read_clouds(path)
     for t in range(FRAMES):
         np.testing.assert_array_equal(sequence.points[t], POINTS[t][VALID[t]])
-        assert len(sequence.normals[t]) == len(sequence.colors[t]) == VALID[t].sum()
+        assert len(present(sequence.normals[t])) == len(present(sequence.colors[t])) == VALID[t].sum()
     assert sequence.warnings == (f"{1 - VALID.mean():.1%} of the rows of points left out, as 'valid' says",)
 
 

@@ -116,13 +116,17 @@ def read_npy_frames(path: Path, frames: slice | None) -> NamedFrames:
 
 
 def read_npz_points(path: Path) -> Surface:
-    """One frame from an .npz: ``points`` (N, 3), optional ``normals``; or its only array of shape (N, 3) or (N, 6).
+    """One frame from an .npz: ``points`` (N, 3), optional ``normals``; its only array of shape (N, 3) or (N, 6); or
+    ``depth`` images of one frame.
 
     Raises:
         InputError: neither.
     """
     npz = Npz(path)
     name = "points"
+    if name not in npz and any(n in npz for n in DEPTH_NAMES):
+        cloud = DepthArchive(npz, _first_of(npz, COLOR_NAMES), single=True).cloud(0)
+        return Surface(cloud.points, colors=cloud.colors)
     if name not in npz:
         shapes = {n: npz.header(n)[0] for n in npz.names if "normal" not in n.lower()}
         found = [n for n, shape in shapes.items() if len(shape) == 2 and shape[1] in (3, 6)]

@@ -5,6 +5,8 @@
 - ``poses`` (4, 4), camera to world (x right, y down, z ahead), of each camera or image; without them one camera stands;
 - ``depth_scale``, what a unit of depth is in the units of the result, 0.001 for millimetres as metres;
 - ``colors`` (..., H, W, 3) and ``valid`` (..., H, W), as images of the same size.
+
+An .npz of one frame, of a folder of them, holds the same without T.
 """
 
 from __future__ import annotations
@@ -77,15 +79,21 @@ def _four(k: np.ndarray) -> tuple[float, float, float, float]:
 class DepthArchive:
     """The depth images of an .npz; ``cloud(t)`` gives the points of a frame, of all its cameras together.
 
+    ``single``: they are those of one frame, (H, W), or (C, H, W) of C cameras.
+
     Raises:
         InputError: no intrinsics, or shapes that do not fit together.
     """
 
-    def __init__(self, npz: Npz, colors: np.ndarray | None) -> None:
+    def __init__(self, npz: Npz, colors: np.ndarray | None, single: bool = False) -> None:
         self.name = _held(npz, DEPTH_NAMES)
         depth, where = npz.array(self.name), f"{npz.path}: {self.name}"
+        if single:
+            depth, colors = depth[None], None if colors is None else colors[None]
         if depth.ndim not in (3, 4):
-            raise InputError(f"{where}: expected shape (T, H, W), or (T, C, H, W) of C cameras, got {depth.shape}")
+            shapes = ("(H, W)", "(C, H, W)") if single else ("(T, H, W)", "(T, C, H, W)")
+            got = depth.shape[1:] if single else depth.shape
+            raise InputError(f"{where}: expected shape {shapes[0]}, or {shapes[1]} of C cameras, got {got}")
         lead, image = depth.shape[:-2], depth.shape[-2:]
         name = _held(npz, INTRINSICS_NAMES)
         if not name:
@@ -109,7 +117,9 @@ class DepthArchive:
         if colors is not None and (colors.shape[:-1] != depth.shape or colors.shape[-1] not in (3, 4)):
             raise InputError(f"{npz.path}: colours: expected shape {(*depth.shape, 3)}, got {colors.shape}")
         self.depth, self.scale, self.colors = depth, float(scale.reshape(())), colors
-        self.valid = read_valid(npz, VALID_NAMES, [depth.shape, image])
+        self.valid = read_valid(npz, VALID_NAMES, [depth.shape, image, *([depth.shape[1:]] if single else [])])
+        if self.valid is not None and single and self.valid.shape == depth.shape[1:]:
+            self.valid = self.valid[None]
 
     def __len__(self) -> int:
         return len(self.depth)
