@@ -264,7 +264,7 @@ def _read_array(stream: IO[bytes], size: int, where: str, kinds: str = NUMBERS) 
     return np.lib.format.read_array(stream, allow_pickle=False)
 
 
-def _map_array(path: Path, member: zipfile.ZipInfo, where: str, kinds: str) -> np.ndarray:
+def _map_array(path: Path, member: zipfile.ZipInfo, where: str, kinds: str = NUMBERS) -> np.ndarray:
     """The array of a member stored as it is: pages are read from the file when they are looked at."""
     with open(path, "rb") as stream:
         stream.seek(member.header_offset)
