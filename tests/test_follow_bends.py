@@ -71,6 +71,12 @@ def test_what_stays_lost_then_is_tried_from_afar(monkeypatch: pytest.MonkeyPatch
     assert calls == [*outwards[0], *forward, *outwards[1], (3, 1)]
 
 
+def test_what_lost_more_than_a_limb_is_not_tried_from_afar(monkeypatch: pytest.MonkeyPatch) -> None:
+    shares = {8: 1.01 * walks.LIMB, 9: 0.99 * walks.LIMB}
+    monkeypatch.setattr(Search, "uncovered", lambda self, t: shares.get(t, 0.0))
+    assert tried(monkeypatch, {8, 9}, sources=3) == [(8, 7), (9, 8), (9, 10), (9, 7), (9, 11)]
+
+
 def test_what_covers_less_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bent far away, a frame goes back to where the grids and the vertex stage had left it."""
 

@@ -38,8 +38,9 @@ from warpdef.kernels.ways import Way
 
 STRETCHED_MAX = 0.02
 """Share of such edges from which a frame went wrong, even if all points are covered."""
-SOURCES = 4
-"""Frames that are right from which one that is wrong is tried, at most."""
+SOURCES, LIMB = 4, 0.1
+"""Frames that are right from which one that is wrong is tried, at most; and uncovered share of its points up to which
+it is: a leg has less, and where more is lost, as of two bodies that hide each other, a mesh from afar covers it anyhow."""
 _ASKED = 20_000  # points of a frame, evenly spread, that tell what is not covered: enough for any limb
 
 
@@ -183,7 +184,8 @@ class _Walk:
         wrong = {t for t in fitted if self._wrong(t)}
         right = {self.problem.transitions.keyframe, *fitted} - wrong
         tried = {(t, source) for t in wrong for source in right if abs(t - source) == 1}
-        for frame in sorted(wrong, key=lambda t: (min(abs(t - source) for source in right), t)):
+        limbs = (t for t in wrong if self.search.uncovered(t) < LIMB)
+        for frame in sorted(limbs, key=lambda t: (min(abs(t - source) for source in right), t)):
             for source in sorted(right, key=lambda t: (abs(t - frame), t))[:SOURCES]:
                 if (frame, source) not in tried and not self.stopped():
                     self._try_again(frame, source)
