@@ -40,7 +40,7 @@ STRETCHED_MAX = 0.02
 """Share of such edges from which a frame went wrong, even if all points are covered."""
 SOURCES, LIMB = 4, 0.1
 """Frames that are right from which one that is wrong is tried, at most; and uncovered share of its points up to which
-it is: a leg has less, and where more is lost, as of two bodies that hide each other, a mesh from afar covers it anyhow."""
+it is: a leg has less; where more is lost, as of two bodies that hide each other, any mesh from afar covers it."""
 _ASKED = 20_000  # points of a frame, evenly spread, that tell what is not covered: enough for any limb
 
 
