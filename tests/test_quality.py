@@ -170,6 +170,21 @@ def test_a_second_layer_on_the_surface_is_told(clouds) -> None:
     assert any("second layer" in reason for reason in found.verdicts[3].reasons)
 
 
+def test_a_limb_on_the_place_of_another_before_one_camera_is_told(clouds) -> None:
+    """From above, two tubes side by side; in one frame the end of the second lies on the points of the first."""
+    up, side = np.array([0.0, 0.0, 1.0]), np.array([0.0, 3.0, 0.0])
+    both, end = np.concatenate([FACES, FACES + len(VERTICES)]), VERTICES[:, :1] > 1.2
+    above = [np.concatenate([cloud, cloud + side])[np.tile(cloud[:, 2] > 0.0, 2)] for cloud in clouds]
+    pairs = np.stack([np.concatenate([moved(t), moved(t) + side]) for t in range(FRAMES)])
+    pairs[3, len(VERTICES) :] -= end * side
+    above[3] = above[3][~((above[3][:, 1] > 1.5) & (above[3][:, 0] > moved(3)[end[:, 0], 0].min()))]
+    eyes = {eye is not None: assess(above, pairs, both, KEYFRAME, eye=eye) for eye in (50.0 * up, None)}
+    shares = [frame.shared for frame in frames(eyes[True])]
+    assert 0.045 < shares[3] < 0.15 and max(shares[:3] + shares[4:]) == 0.0
+    assert any("another part of it explains" in reason for reason in eyes[True].verdicts[3].reasons)
+    assert frames(eyes[False])[3].layered == shares[3] and frames(eyes[False])[3].shared is None
+
+
 def test_the_unseen_back_of_a_thin_limb_is_no_fault(meshes, clouds) -> None:
     """Thinner than four spacings, so that it is near to the points on its front, but not on theirs."""
     thin = meshes * [1.0, 1.0, 0.15]

@@ -35,7 +35,7 @@ SIDE_BY_SIDE = 8
 """Frames at most that are looked at at the same time: each takes some tens of megabytes meanwhile."""
 GUESSED = 0.05
 """Share of a frame's surface far from every point from which it is told that this is a guess."""
-LAYERS = ("astray", "inner", "doubled", "layered", "blur", "exposed", "spanning", "merged") + (
+LAYERS = ("astray", "inner", "doubled", "layered", "shared", "blur", "exposed", "spanning", "merged") + (
     "overhang",
     "surplus",
     "outgrown",
@@ -157,6 +157,8 @@ def assess(
             of_vertices = doubled_vertices(coverage, placed, change.growth * reference.vertices, faces)
             for which, found in zip(("doubled", "layered"), of_vertices, strict=True):
                 layers[which] = coverage.share(found[faces].mean(axis=1))
+            if eye is not None:
+                layers["shared"] = layers["layered"]
             if reference.thin is not None:
                 layers["blur"] = _noise_around(coverage) / (change.growth * reference.thin)
         quality = _frame(t, points, coverage, change, reference.extent, layers, *(_number(c[t]) for c in calm))

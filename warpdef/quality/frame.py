@@ -24,6 +24,7 @@ class FrameQuality:
     unseen:       share of the surface that the frame does not show, far or not
     doubled:      share of the surface that is near points of another part, and was apart from it in the shape
     layered:      share of it that is so and faces the same way as that part: a second layer on it
+    shared:       the same, asked only where one camera saw all clouds: it shows the nearer of two parts alone
     exposed:      share of the surface that stands where the one camera that saw all clouds saw nothing
     spanning:     share of it that spans a gap between points through which that camera saw
     merged:       share of the points that lie in two layers, of which the surface makes one
@@ -59,6 +60,7 @@ class FrameQuality:
     unseen: float | None
     doubled: float | None
     layered: float | None
+    shared: float | None
     exposed: float | None
     spanning: float | None
     merged: float | None
