@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from warpdef.config import KeyframeConfig
 from warpdef.errors import InputError
-from warpdef.template.keyframe import compare_frames, occupied_voxels, rank_keyframes, spread_out
+from warpdef.template.keyframe import compare_frames, doubt_of_asked, occupied_voxels, rank_keyframes, spread_out
 
 
 def clouds_of(counts: list[int]) -> list[np.ndarray]:
@@ -79,6 +81,19 @@ def test_frames_that_show_half_of_the_surface_come_last(rng):
     assert ranked[-1].frame == 3 and not ranked[-1].full and ranked[-1].coverage < 0.7
     assert ranked[0].full and "1 frames show less than 87%" in ranked[0].why
     assert rank_keyframes(clouds, KeyframeConfig(voxels=512, coverage_min=0))[-1].frame != 3
+
+
+def test_what_speaks_against_the_frame_asked_for_is_told(rng):
+    """Half of the surface, or few points beside the others; nothing of a frame like them, nor where none was named."""
+    clouds = [ball(rng, 1500) for _ in range(7)]
+    clouds[3], clouds[5] = ball(rng, 3000), ball(rng, 500)
+    clouds[3] = clouds[3][clouds[3][:, 2] > 0]
+    said = {c: doubt_of_asked(clouds, KeyframeConfig(choice=c)) for c in ("auto", "first", "middle", "2", "3", "5")}
+    assert said["auto"] == said["first"] == said["2"] == "" and said["middle"] == said["3"]
+    assert re.match(r"frame 3, the keyframe asked for, shows (5|6)\d% of the surface", said["3"])
+    assert "has 500 points, where frames have 1,500" in said["5"]
+    best = rank_keyframes(clouds, KeyframeConfig())[0].frame
+    assert all(said[c].endswith(f"--keyframe auto would take frame {best}") for c in ("3", "5"))
 
 
 def test_the_frame_in_which_objects_lie_apart_is_taken(rng):

@@ -13,7 +13,7 @@ from warpdef.geometry import triangles
 from warpdef.geometry.viewpoint import seen_normals
 from warpdef.mesh import TriMesh
 from warpdef.template.build import FLIPPED_WARN, Draft, TemplateReport, draft
-from warpdef.template.keyframe import KeyframeCandidate, rank_keyframes, spread_out
+from warpdef.template.keyframe import KeyframeCandidate, doubt_of_asked, rank_keyframes, spread_out
 from warpdef.template.place import align, require_place
 from warpdef.template.poisson import load_backend
 from warpdef.template.quality import GateReport, judge
@@ -85,7 +85,9 @@ def choose_template(
             if config.trust_normals:
                 continue
         attempts.append((candidate, "estimated" if view is None else "seen"))
-    warnings: list[str] = []
+    # Where one camera saw parts, what the template lacks is told by what the camera saw.
+    doubt = "" if view is not None else doubt_of_asked(clouds, config.keyframe, places)
+    warnings = [doubt] if doubt else []
     failed: list[ChosenTemplate] = []
     passed: list[ChosenTemplate] = []
     drafts = _Drafts(clouds, config)

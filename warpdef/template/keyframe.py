@@ -14,6 +14,7 @@ from warpdef.geometry.coverage import area_and_objects, complete_frames, objects
 SAMPLE = 2500  # points of a frame from which its area and its objects are told
 PICTURE_SHARE = 0.1  # least share of the points that is an object in a picture: a foot has 0.04 of a person's
 _MIDDLE_IN_NOISE = 10.0  # times as much the middle counts there
+FEW_POINTS = 0.5  # of the frames' median: a keyframe asked for that has fewer is coarser than it need be
 SPREAD = 0.12  # of the frames: how far apart in time further keyframes should be
 
 
@@ -122,6 +123,30 @@ def rank_keyframes(
             why += f"; {len(frames) - len(full)} frames show less than {config.coverage_min:.0%} of the surface"
         ranked.append(replace(candidate, why=why))
     return ranked
+
+
+def doubt_of_asked(clouds: Sequence[np.ndarray], config: KeyframeConfig, places: np.ndarray | None = None) -> str:
+    """What speaks against the keyframe that the user named, beside all others; else nothing.
+
+    Args:
+        clouds, config, places: as in ``rank_keyframes``.
+    """
+    if config.choice == "auto":
+        return ""
+    asked = rank_keyframes(clouds, config, places)[0].frame
+    ranked = rank_keyframes(clouds, replace(config, choice="auto"), places)
+    seen = next(c for c in ranked if c.frame == asked)
+    if seen is ranked[0]:
+        return ""
+    usual = float(np.median([len(cloud) for cloud in clouds if len(cloud)]))
+    better = f"--keyframe auto would take frame {ranked[0].frame}"
+    if not seen.full and ranked[0].full:
+        shown = f"shows {seen.coverage:.0%} of the surface that the fullest frame shows"
+        return f"frame {asked}, the keyframe asked for, {shown}: the template lacks or guesses the rest; {better}"
+    if len(clouds[asked]) < FEW_POINTS * usual:
+        shown = f"has {len(clouds[asked]):,} points, where frames have {usual:,.0f}"
+        return f"frame {asked}, the keyframe asked for, {shown}: the template may lack thin parts; {better}"
+    return ""
 
 
 def spread_out(ranked: list[KeyframeCandidate], count: int) -> list[KeyframeCandidate]:
