@@ -100,3 +100,16 @@ def test_half_the_way_and_not_more_is_gone():
     smallest = spanned_smallest(vertices, faces, cap)
     assert np.array_equal(moved[~cap], vertices[~cap])
     assert np.allclose(moved[cap], (1 - FLATTER) * vertices[cap] + FLATTER * smallest[cap], atol=1e-12)
+
+
+def test_a_part_that_hangs_together_with_nothing_held_stays():
+    """A second ball, no vertex of which is held, beside one with a cap that is free; then alone."""
+    vertices, faces = icosphere(2)
+    count = len(vertices)
+    both = np.concatenate([vertices, vertices + 5.0]), np.concatenate([faces, faces + count])
+    other = np.arange(2 * count) >= count
+    cap = both[0][:, 2] < -0.5
+    spanned = spanned_smallest(*both, cap | other)
+    np.testing.assert_array_equal(spanned[other], both[0][other])
+    np.testing.assert_allclose(spanned[~other], spanned_smallest(vertices, faces, cap[:count]))
+    np.testing.assert_array_equal(spanned_smallest(*both, other), both[0])

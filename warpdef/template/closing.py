@@ -52,14 +52,18 @@ def closed_flatter(vertices: np.ndarray, faces: np.ndarray, opening: np.ndarray,
 def spanned_smallest(values: np.ndarray, faces: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Values of vertices (V, K), those that are ``free`` (V,) now the mean of their neighbours'.
 
-    Of places, (V, 3), that is the surface whose squared edges are least.
+    Of places, (V, 3), that is the surface whose squared edges are least. What hangs together with nothing held stays.
     """
     from scipy.sparse import coo_matrix, diags
     from scipy.sparse.linalg import splu
 
-    free, held = np.flatnonzero(free), np.flatnonzero(~free)
     a, b = triangles.unique_edges(faces).T
     total = len(values)
+    part = triangles.component_labels(a, b, total)
+    free = free & np.isin(part, part[~free])
+    if not free.any():
+        return values
+    free, held = np.flatnonzero(free), np.flatnonzero(~free)
     ends = np.concatenate([a, b]), np.concatenate([b, a])
     beside = coo_matrix((np.ones(2 * len(a)), ends), shape=(total, total)).tocsr()
     laplacian = (diags(np.asarray(beside.sum(axis=1)).ravel()) - beside).tocsr()[free]
