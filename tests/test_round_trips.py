@@ -29,7 +29,7 @@ CAMERA = np.array([0.0, 0.0, 5.0])
 KINDS: dict[str, tuple[Callable[[], Problem], tuple[int, int, int]]] = {
     "whole": (lambda: example_problem(small_grids()), (14, 23, 30)),
     "one frame in part": (lambda: example_problem(small_grids(), partial=True), (16, 25, 32)),
-    "one camera": (lambda: example_problem(small_grids(), eye=CAMERA), (15, 17, 23)),
+    "one camera": (lambda: example_problem(small_grids(), eye=CAMERA), (15, 18, 24)),
     "wide noise": (lambda: noisy_problem(small_grids()), (12, 34, 41)),
 }
 """Problems, and launches of a frame settled by one round, of a round, and of one that smooths in time."""

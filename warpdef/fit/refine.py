@@ -89,7 +89,7 @@ class Refinement:
         learnt = c.material and p.scattered is None and not p.seen
         self._edges = p.integers(p.mesh.row), p.integers(p.mesh.column)
         self.material = Material(self._edges, moving, c.iterations) if learnt else None
-        self._earlier = wp.clone(objective.vertices)
+        self._earlier = wp.clone(objective.vertices)  # before the last round: to go on from, or back to
         self._solver = BlockSolver(p.mesh, p.frame_count, c.tolerance, c.iterations_max, device)
         self.solves = SolveReport("block cg")
         # By frame: 1 fitted again, 2 lost all the same. Part of the state, hence on the device.
@@ -220,9 +220,9 @@ class Refinement:
         """
         o = self.objective
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
-        if together and self._momentum > 0:
+        if together:
             go_on(begin, count, self._momentum, self._earlier.flatten(), o.vertices.flatten())
-            for _ in range(_TURNS):
+            for _ in range(_TURNS if self._momentum > 0 else 0):
                 self._fit_rotations(first, last, self._tie)
         self.pairing.find(first, last)
         if self.unseen.trust is not None:

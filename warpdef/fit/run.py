@@ -138,8 +138,8 @@ class FitRun:
             if not reason:
                 r.start()
                 self._refining = True
-        # No round follows one that is undone: what only the next would go on from need not be kept.
-        good = {name: wp.clone(r.state()[name]) for name in ("vertices", "rest")}
+        # No round follows one that is undone: vertices as they were before it, and their shape, are the result then.
+        rest = wp.clone(r.state()["rest"])
         rounds = r.config.iterations
         flag = wp.zeros(1, dtype=wp.int32, device=r.objective.problem.device)
         while r.done < rounds and not reason:
@@ -149,11 +149,10 @@ class FitRun:
                     f"round {r.done} of the vertex stage left the finite numbers and was undone; the result is that of "
                     f"round {r.done - 1}. Raise refine.damping",
                 )
-                r.restore({**r.state(), **good}, r.done - 1)
+                r.restore({**r.state(), "vertices": r.state()["earlier"], "rest": rest}, r.done - 1)
                 break
             r.look()
-            for name, array in good.items():
-                wp.copy(array, r.state()[name])
+            wp.copy(rest, r.state()["rest"])
             self.tell(Progress("refine", r.done, rounds))
             self._save_if_due()
             reason = self.limits.reason()
