@@ -53,6 +53,7 @@ BOUNDS: dict[str, tuple[list, list]] = {
     "template.missed_share_max": ([-0.1, 1.1], [0, 1]),
     "template.attempts": COUNT,
     "template.grow": FREE,
+    "template.gather": FREE,
     "grid.levels": ([0, 17], [1, 16]),
     "grid.coarsest": ([0, 11], [1, 10]),
     "grid.prune": FREE,

@@ -71,6 +71,8 @@ class TemplateConfig:
     """Keyframes tried before the best failing template is used with a warning."""
     grow: bool = True
     """Where one camera saw a body that turns: make the template of all frames, not of what a keyframe shows."""
+    gather: bool = True
+    """Of at most 2,000 points a frame without normals: make the template again of all frames, once they are fitted."""
 
     def __post_init__(self) -> None:
         known = self.backend in ("auto", "gpytoolbox", "pymeshlab")

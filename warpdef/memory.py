@@ -18,6 +18,7 @@ import warp as wp
 from warpdef.config import Config
 from warpdef.device import is_cuda
 from warpdef.errors import InputError
+from warpdef.fit.gathering import GATHERED, may_gather
 from warpdef.fit.pool import INDEX, MATRIX, NODE, VECTOR
 from warpdef.fit.terms import VERTEX_TERMS
 from warpdef.kernels.cells import CELLS_MAX
@@ -27,7 +28,7 @@ _PROCESS = 300 * 2**20  # interpreter, Warp's compiler, loaded kernels, librarie
 _OTHERS = ("grids", "input term")  # owners in the pool that do not grow with the vertices
 _SORTED, _SEARCH = 2 * VECTOR + 2 * INDEX, VECTOR + 2 * INDEX + 8  # bytes of a target and of a query
 _TEMPLATE_VERTEX = 700  # bytes of the template alone: graph, edges, patches, factor; measured
-_TEMPLATE_POINT = 4_000  # bytes a keyframe point takes in screened Poisson and remeshing, measured
+_TEMPLATE_POINT = 4_000  # bytes a point of it takes in screened Poisson and remeshing, measured
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class MemoryEstimate:
 
     process: the program itself          clouds: input and normals, float64, never on a device
     points: of all frames, with searches grids: parameters and their state
-    vertices: of all frames, both stages template: while it is being built, on the keyframe
+    vertices: of all frames, both stages template: while it is being built
     """
 
     process: int
@@ -100,7 +101,7 @@ def estimate_memory(points: Sequence[int], vertices: int, config: Config, cuda: 
         + cells(vertices)
         + _TEMPLATE_VERTEX * vertices
         + sum(pooled[owner] for owner in pooled if owner not in _OTHERS),
-        template=_TEMPLATE_POINT * largest,
+        template=_TEMPLATE_POINT * (min(total, GATHERED + largest) if may_gather(points, config) else largest),
     )
 
 

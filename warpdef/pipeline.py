@@ -7,6 +7,7 @@ Section names are those of *Preconditioned Deformation Grids* (Pacific Graphics 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -18,6 +19,8 @@ from warpdef.cleaning.wide_noise import noise_note
 from warpdef.config import Config
 from warpdef.cube_clouds import CubeClouds
 from warpdef.device import load_kernels, team_size
+from warpdef.errors import OutOfMemory
+from warpdef.fit.gathering import gathered_template, gathers, may_gather, told_of_few_points, why_worse
 from warpdef.fit.landmarks import PlacedLandmarks
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
@@ -38,6 +41,8 @@ from warpdef.sequence import PointSequence
 from warpdef.shortage import explained_shortage, retried
 from warpdef.starting_template import find_template
 from warpdef.template.choose import ChosenTemplate
+
+FIRST_WITHIN = 0.45  # of a time limit, for the first of two fits: the second takes as long
 
 
 def reconstruct(
@@ -86,9 +91,12 @@ def reconstruct(
 
     # Optimization: one descent for all transitions and the template; begun again where memory runs out.
     run = _Run(ready, safeguards, clouds, chosen, _landmarks(ready, clouds, chosen), threads, tell)
+    sizes = [len(p) for p in ready.sequence.points]
     if ready.saved is not None:
-        return run.fit(ready.config, [])
-    return retried(run.fit, ready.config, [len(p) for p in ready.sequence.points], ready.estimate, ready.device)
+        result = run.fit(ready.config, [])
+    else:
+        result = retried(run.fit, ready.config, sizes, ready.estimate, ready.device)
+    return _made_again(run, result) if run.gathers else result
 
 
 def _landmarks(ready: Prepared, clouds: CubeClouds, chosen: ChosenTemplate) -> PlacedLandmarks | None:
@@ -102,7 +110,7 @@ def _landmarks(ready: Prepared, clouds: CubeClouds, chosen: ChosenTemplate) -> P
 
 @dataclass(frozen=True)
 class _Run:
-    """What a fit begins with, whatever its configuration."""
+    """What a fit begins with, whatever its configuration; ``again``: of the points of all frames, a second time."""
 
     ready: Prepared
     safeguards: Safeguards
@@ -111,6 +119,14 @@ class _Run:
     landmarks: PlacedLandmarks | None
     threads: int | None
     tell: Callback
+    again: bool = False
+
+    @property
+    def gathers(self) -> bool:
+        """Whether a template of all frames may be made of what comes out (``fit.gathering``)."""
+        ready, sizes = self.ready, [len(p) for p in self.ready.sequence.points]
+        fit_for_it = self.clouds.view is None and self.clouds.scattered is None and not self.again
+        return fit_for_it and may_gather(sizes, ready.config) and gathers(self.chosen, ready.config)
 
     def fit(self, config: Config, told: list[str]) -> Reconstruction:
         """The fit, and its result in input units; ``told``: what was changed since it was tried before."""
@@ -136,6 +152,8 @@ class _Run:
                 # Beyond the paper: every vertex of every frame on its own, and one shape for all frames.
                 with clock.phase("refine"):
                     run.refine()
+                if self.gathers and not run.stopped:
+                    run.keep()  # what it goes on from if it is cut short in the second
                 result = self._result(run, config, team.size)
                 ended = interruption.signal if run.stopped and interruption.asked else None
                 result.report |= {"interrupted": ended is not None, "signal": ended}
@@ -227,6 +245,43 @@ class _Run:
         result.report |= {"colours": colored, "landmarks": led, "resumed": self._resumed, **verdicts}
         result.report["input"] = {"path": self.safeguards.notes.get("input", ""), "digests": run.saver.digests}
         return result
+
+
+def _made_again(run: _Run, first: Reconstruction) -> Reconstruction:
+    """What comes of a template of all frames' points, gathered by the first fit, where that is the better result."""
+    ready, clock, limit = run.ready, run.ready.clock, run.safeguards.seconds_max
+    if first.report["stopped"]:
+        return told_of_few_points(first, "the run was ended before")
+    if limit is not None and time.perf_counter() - clock.begun > FIRST_WITHIN * limit:
+        return told_of_few_points(first, "no time was left to try")
+    run.tell(Progress("template", message="sparse frames: made again of the points of all, by the motion found"))
+    with clock.phase("template"), explained_shortage(ready.estimate, ready.device):
+        clouds = run.clouds.calm.all_frames()
+        again, why = gathered_template(run.chosen, first, clouds, run.clouds.into, first.config)
+    if again is None:
+        return told_of_few_points(first, why, clock)
+    # The checkpoint stays where the first fit ended: cut short, a run goes on from there.
+    anew = replace(
+        run,
+        ready=replace(ready, saved=None),
+        safeguards=replace(run.safeguards, checkpoint=None),
+        chosen=again,
+        landmarks=_landmarks(ready, run.clouds, again),
+        again=True,
+    )
+    try:
+        second = anew.fit(first.config, [])
+    except OutOfMemory as error:
+        return told_of_few_points(first, str(error), clock)
+    if second.report["stopped"]:
+        first.report |= {key: second.report[key] for key in ("stopped", "interrupted", "signal")}
+        return told_of_few_points(first, "the run was ended before", clock)
+    second.report["resumed"] = first.report["resumed"]
+    with clock.phase("assess"):
+        worse = why_worse(first, second, clouds)
+    if worse:
+        return told_of_few_points(first, worse, clock)
+    return told_of_few_points(second, "", clock)
 
 
 def _compile(optimiser: Optimiser, refinement: Refinement | None) -> None:

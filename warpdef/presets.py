@@ -31,7 +31,7 @@ def preset(name: str) -> Config:
         grid=replace(base.grid, prune=True),
         sobolev=replace(base.sobolev, solver="cg"),
         loss=replace(base.loss, tangential=1.0),
-        template=replace(base.template, depth=10, faces_sparse=0, grow=False),
+        template=replace(base.template, depth=10, faces_sparse=0, grow=False, gather=False),
         refine=replace(base.refine, iterations=0),
         optimiser=replace(
             base.optimiser,

@@ -27,6 +27,7 @@ IDEAS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("Poisson depth by spacing", {"template.depth": 10}),
     ("middle as wide in long films", {"keyframe.gamma_fall": 0.0}),
     ("template of all frames", {"template.grow": False}),
+    ("template made again of sparse frames", {"template.gather": False}),
     ("faces for the points of all frames", {"template.faces_sparse": 0}),
     ("full coverage of keyframes", {"keyframe.coverage_min": 0.0}),
     ("static planes cut", {"cut_static": False}),

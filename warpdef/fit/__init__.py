@@ -16,6 +16,10 @@ Where one camera saw a body that turns, the template itself comes of all frames 
     surfels                     the surface known so far, as oriented points that bend
     hidden                      a limb that a frame hides, put as the frames around it show it
 
+Where frames are sparse it is made again of all of them, after a first fit, and fitted once more:
+
+    gathering                   their points taken back to the keyframe; which of both fits is the better one
+
 Without the paper's chain the mesh then follows the grids, frame by frame:
 
     follow                      outwards from the keyframe, by ``refine`` and, what is lost, by ``recover``

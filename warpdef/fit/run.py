@@ -162,6 +162,10 @@ class FitRun:
 
     # On disk.
 
+    def keep(self) -> None:
+        """Write the end of the run: what is done with its result is done again from there if it is cut short."""
+        self._save_and_end()
+
     def _save_if_due(self) -> None:
         if self.saver.due():
             self._save()

@@ -29,9 +29,9 @@ from warpdef.geometry.triangles import component_labels
 CELL_SPACINGS = 1.0  # grid cell, in mean point spacings
 CELL_NOISE = 1.0  # and of clouds with wide noise, in noise
 SPARSE, CELL_SPARSE = 2_000, 0.5
-"""Of clouds of at most so many points, whose limbs are as thin as their points stand apart, the cell is that of a spacing:
-600 points of a person, a horse and two walkers then have 1 to 5 % on the wrong side for 4 to 12 %, 1,000 0.3 to 2 for 2
-to 9; 2,500 gain no more, for five times the time."""
+"""Of clouds of at most so many points, whose limbs are as thin as their points stand apart, the cell is that of a
+spacing: 600 points of a person, a horse and two walkers have 1 to 5 % on the wrong side for 4 to 12 %, 1,000 have 0.3
+to 2 for 2 to 9; 2,500 gain no more, for five times the time."""
 CLEAR_PLANES = 0.8  # median clarity of a cloud's planes: 0.95 clean, 0.7 with noise of half a percent; above, ...
 START_SPACINGS = 1.5  # ... signs can be taken from a grid as coarse as this, with a third of the cells; in noise ...
 START_EXTENTS = 0.02  # ... too, up to this share of the body, whose limbs it has to tell apart
