@@ -15,7 +15,15 @@ import synthetic
 
 import warpdef
 from warpdef.config import Config
-from warpdef.fit.gathering import gathered_points, gathers, may_gather, nearness, told_of_few_points, why_worse
+from warpdef.fit.gathering import (
+    gathered_points,
+    gathers,
+    keep_doubts,
+    may_gather,
+    nearness,
+    told_of_few_points,
+    why_worse,
+)
 from warpdef.geometry.closest import closest_on_surface
 from warpdef.presets import preset
 from warpdef.progress import Progress
@@ -146,6 +154,15 @@ def test_openings_that_may_be_want_of_points_are_doubted() -> None:
         assert told["verdicts"] == [GOOD] and not told["warnings"] and told["gathered"] == "taken"
 
 
+@pytest.mark.parametrize(("handles", "expected"), [(3, [DOUBTFUL, GOOD, DOUBTFUL]), (1, [GOOD, GOOD, DOUBTFUL])])
+def test_more_handles_are_told_and_what_was_doubtful_stays_so(handles: int, expected: list[str]) -> None:
+    first = result_of(TRUTH.vertices, [DOUBTFUL, GOOD, DOUBTFUL], gate={"handles": 1})
+    second = result_of(TRUTH.vertices, [GOOD, GOOD, DOUBTFUL], gate={"handles": handles})
+    keep_doubts(first, second)
+    assert second.report["verdicts"] == expected
+    assert len(second.report["warnings"]) == len(second.report["quality"][0]["reasons"]) == (handles > 1)
+
+
 def quick() -> Config:
     base = Config()
     return replace(
@@ -163,8 +180,15 @@ def fitted(**how: Any) -> warpdef.Reconstruction:
 
 
 def test_a_sparse_body_is_fitted_twice_and_goes_on_when_cut_short(tmp_path: Path) -> None:
-    phases = []
-    whole = fitted(callback=lambda progress: phases.append((progress.phase, progress.message)))
+    phases, shown = [], set()
+
+    def note(progress: Progress) -> None:
+        phases.append((progress.phase, progress.message))
+        if progress.meshes is not None:
+            shown.add(len(progress.meshes().faces))
+
+    whole = fitted(callback=note)
+    assert len(shown) == 1  # a window shows one mesh
     assert sum(phase == "compile" for phase, _ in phases) == 2
     assert any("made again" in message for _, message in phases)
     assert whole.report["gathered"] and whole.report["stopped"] is None

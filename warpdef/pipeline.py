@@ -20,7 +20,7 @@ from warpdef.config import Config
 from warpdef.cube_clouds import CubeClouds
 from warpdef.device import load_kernels, team_size
 from warpdef.errors import OutOfMemory
-from warpdef.fit.gathering import gathered_template, gathers, may_gather, told_of_few_points, why_worse
+from warpdef.fit.gathering import gathered_template, gathers, keep_doubts, may_gather, told_of_few_points, why_worse
 from warpdef.fit.landmarks import PlacedLandmarks
 from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
@@ -267,6 +267,7 @@ def _made_again(run: _Run, first: Reconstruction) -> Reconstruction:
         safeguards=replace(run.safeguards, checkpoint=None),
         chosen=again,
         landmarks=_landmarks(ready, run.clouds, again),
+        tell=lambda progress: run.tell(replace(progress, meshes=None)),  # who shows them counts on the same faces
         again=True,
     )
     try:
@@ -281,6 +282,7 @@ def _made_again(run: _Run, first: Reconstruction) -> Reconstruction:
         worse = why_worse(first, second, clouds)
     if worse:
         return told_of_few_points(first, worse, clock)
+    keep_doubts(first, second)
     return told_of_few_points(second, "", clock)
 
 

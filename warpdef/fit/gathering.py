@@ -198,6 +198,24 @@ def why_worse(first: Reconstruction, second: Reconstruction, clouds: Sequence[np
     return "" if near[1] <= near[0] else "the mesh that came of it lies farther from the points"
 
 
+def keep_doubts(first: Reconstruction, second: Reconstruction) -> None:
+    """Where the second mesh has more handles than the first, say so; frames that were in doubt stay in doubt.
+
+    It is nearer to the points, but a handle may be a web between limbs that touch at the keyframe.
+    """
+    told = second.report
+    more = told["template"]["gate"]["handles"] - first.report["template"]["gate"]["handles"]
+    if more <= 0:
+        return
+    webs = f"{more} more handles than the keyframe's own points gave, which may be webs between limbs that touch there"
+    told["warnings"].append(f"the mesh has {webs}; look at it, or try another --keyframe")
+    pairs = zip(first.report.get("verdicts", ()), told.get("verdicts", ()), strict=True)
+    for t, (before, now) in enumerate(pairs):
+        if before != GOOD and now == GOOD:
+            told["verdicts"][t] = DOUBTFUL
+            told["quality"][t]["reasons"].append(f"the mesh has {webs}")
+
+
 def told_of_few_points(result: Reconstruction, why: str, clock: Clock | None = None) -> Reconstruction:
     """The result of sparse clouds, its report with what became of a template of all frames.
 
