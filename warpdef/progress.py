@@ -24,7 +24,8 @@ class Progress:
     phase: "template", "compile", "optimise" or "refine". iteration: done so far, of iterations. losses: weighted terms.
     message: something worth saying aloud, or empty.
     meshes: returns the mesh as it is now, in input units, float32; only while the callback runs. Nothing is computed
-    until it is called, and little then. None before there is a mesh, and of a second fit of sparse frames, whose is another.
+    until it is called, and little then. None before there is a mesh, and in a second fit of sparse frames, which has
+    another.
     """
 
     phase: str
