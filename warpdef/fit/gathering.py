@@ -24,7 +24,7 @@ from warpdef.motion.rotations import blend, inverse, local_rotations, turn
 from warpdef.progress import Clock
 from warpdef.quality.verdict import DOUBTFUL, GOOD
 from warpdef.result import Moving, Reconstruction
-from warpdef.sequence import Similarity
+from warpdef.sequence import Similarity, name_frames
 from warpdef.template.build import depth_by_spacing, draft
 from warpdef.template.choose import ChosenTemplate
 from warpdef.template.poisson import load_backend
@@ -199,21 +199,21 @@ def why_worse(first: Reconstruction, second: Reconstruction, clouds: Sequence[np
 
 
 def keep_doubts(first: Reconstruction, second: Reconstruction) -> None:
-    """Where the second mesh has more handles than the first, say so; frames that were in doubt stay in doubt.
+    """Where the second mesh has handles, frames that were in doubt stay in doubt, and the report says why.
 
     It is nearer to the points, but a handle may be a web between limbs that touch at the keyframe.
     """
     told = second.report
-    more = told["template"]["gate"]["handles"] - first.report["template"]["gate"]["handles"]
-    if more <= 0:
-        return
-    webs = f"{more} more handles than the keyframe's own points gave, which may be webs between limbs that touch there"
-    told["warnings"].append(f"the mesh has {webs}; look at it, or try another --keyframe")
+    handles = told["template"]["gate"]["handles"]
     pairs = zip(first.report.get("verdicts", ()), told.get("verdicts", ()), strict=True)
-    for t, (before, now) in enumerate(pairs):
-        if before != GOOD and now == GOOD:
-            told["verdicts"][t] = DOUBTFUL
-            told["quality"][t]["reasons"].append(f"the mesh has {webs}")
+    kept = [t for t, (before, now) in enumerate(pairs) if before != GOOD and now == GOOD]
+    if not handles or not kept:
+        return
+    webs = f"the mesh has handles ({handles}), which may be webs between limbs that touch at the keyframe"
+    told["warnings"].append(f"{webs}: look at {name_frames(kept)}, or try another --keyframe")
+    for t in kept:
+        told["verdicts"][t] = DOUBTFUL
+        told["quality"][t]["reasons"].append(webs)
 
 
 def told_of_few_points(result: Reconstruction, why: str, clock: Clock | None = None) -> Reconstruction:
