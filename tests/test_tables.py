@@ -108,6 +108,22 @@ def test_decimal_commas_are_read(tmp_path, between):
     assert_points(read(tmp_path, comma(rows(POINTS, NORMALS, between=between))), normals=True)
 
 
+@pytest.mark.parametrize("letter", ["D", "d"])
+def test_exponents_of_fortran_are_read(tmp_path, letter):
+    text = "".join(" ".join(f"{v:.12e}" for v in row).replace("e", letter) + "\n" for row in POINTS)
+    assert_points(read(tmp_path, text))
+
+
+@pytest.mark.parametrize("between", [";", "\t"])
+@pytest.mark.parametrize("marks", [",.", ".,"])
+def test_marks_between_thousands_are_refused_by_name(tmp_path, between, marks):
+    """1.234,56 was read as two columns, 1.234 and 56."""
+    swapped = str.maketrans(",.", marks)
+    lines = [between.join(f"{v:,.3f}".translate(swapped) for v in row) for row in POINTS * 1e5]
+    with pytest.raises(InputError, match="which has marks between its thousands"):
+        read(tmp_path, "\n".join(lines) + "\n", "a.csv")
+
+
 @pytest.mark.parametrize("decimal", [".", ","])
 def test_quotes_around_fields(tmp_path, decimal):
     lines = [",".join(f'"{v!r}"'.replace(".", decimal) for v in row.tolist()) for row in POINTS]

@@ -2,7 +2,8 @@
 
 Between the columns stand blanks, tabs, commas or semicolons; numbers have a point or a comma before their decimals. In
 front of the rows may stand a count, a line of names and comments (``#``, ``//``, ``;``, ``%``), the last of which may
-hold the names. Quotes around fields are left out. Visual C++'s 1.#IND and 1.#QNAN, empty fields and NULL are NaN.
+hold the names. Quotes around fields are left out. Exponents may be Fortran's, 1.5D+03. Visual C++'s 1.#IND and 1.#QNAN,
+empty fields and NULL are NaN.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ _LOOKED_AT = 200  # rows from which separators are told
 _MARKS = ("#", "//", ";", "%", "!")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eEdD][+-]?[0-9]+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _COMMA_NUMBER = re.compile(r"[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?")
+_GROUPED = re.compile(r"[+-]?[0-9]{1,3}((\.[0-9]{3})+,[0-9]+|(,[0-9]{3})+\.[0-9]+)")  # 1.234,56 or 1,234.56
+_FORTRAN = re.compile(r"(?<=[0-9.])[dD](?=[+-]?[0-9])")  # the exponent of double precision: 1.5D+03
 _ODD_NAN = re.compile(
     r"[+-]?\b1\.#(IND|QNAN|SNAN|INF)[0-9]*|[+-]?nan\((s?nan|q?nan|ind)\)|\bnull\b|\bn/a\b", re.IGNORECASE
 )
@@ -156,7 +159,7 @@ def _numbers(head: _Head, where: str) -> np.ndarray:
     text = head.rows
     if any(mark in text for mark in ("#", "//", "%")) or re.search(r";[^0-9+\-.;\n]*(\n|$)", text):
         text = "\n".join(_without_comment(line) for line in odd_nans(text).split("\n"))
-    text = odd_nans(text)
+    text = _FORTRAN.sub("e", odd_nans(text))
     sample = [line.strip() for line in text[: _LOOKED_AT * 200].split("\n")[:_LOOKED_AT] if line.strip()]
     text = _with_blanks(text, sample, where)
     try:
@@ -171,6 +174,12 @@ def _with_blanks(text: str, sample: Sequence[str], where: str) -> str:
         return text
     wide = ";" if any(";" in line for line in sample) else "\t" if any("\t" in line for line in sample) else " "
     words = [word for line in sample for word in line.replace(wide, " ").split()]
+    grouped = next((word for word in words if _GROUPED.fullmatch(word)), "")
+    if wide != " " and grouped:
+        raise InputError(
+            f"{where}: expected numbers, got {grouped!r}, which has marks between its thousands; write the numbers "
+            "without them"
+        )
     if has_decimal_commas(words) and (wide != " " or min(len(line.split()) for line in sample) >= 3):
         text = text.replace(",", ".")
     elif "," in text:
