@@ -159,7 +159,9 @@ def _numbers(head: _Head, where: str) -> np.ndarray:
     text = head.rows
     if any(mark in text for mark in ("#", "//", "%")) or re.search(r";[^0-9+\-.;\n]*(\n|$)", text):
         text = "\n".join(_without_comment(line) for line in odd_nans(text).split("\n"))
-    text = _FORTRAN.sub("e", odd_nans(text))
+    text = odd_nans(text)
+    if "d" in text or "D" in text:  # the expression takes longer over a long text than this
+        text = _FORTRAN.sub("e", text)
     sample = [line.strip() for line in text[: _LOOKED_AT * 200].split("\n")[:_LOOKED_AT] if line.strip()]
     text = _with_blanks(text, sample, where)
     try:
