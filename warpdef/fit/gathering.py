@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -40,10 +41,8 @@ OPEN_FROM = 0.1
 leave up to 0.08 of a closed body bare; the upper half of a person's has 0.10 to 0.14."""
 SHEET = 0.5  # and from which it clearly is one; bodies of 600 points that are called open have 0.05 to 0.5
 KNOWN_LEAST = 0.9  # share of the points that do: below, the first fit is no guide
-TRIED_COARSER, DEPTH_LEAST = (
-    1,
-    3,
-)  # levels of the octree that are tried beyond the first, and the coarsest that there is
+TRIED_COARSER = 1  # levels of the octree tried beyond the first
+DEPTH_LEAST = 3  # the coarsest that there is
 HANDLES_MORE = 3  # than the first had: what limbs that touch there give, and the second fit is to be judged by
 SAMPLES = 4_000  # of a mesh in a frame, that are held against its points
 
@@ -79,8 +78,8 @@ def gathered_points(result: Moving, clouds: Sequence[np.ndarray]) -> tuple[np.nd
     nearest = sorted(range(len(clouds)), key=lambda t: (abs(t - keyframe), t))
     rest, own = result.vertices[keyframe].astype(np.float64), cKDTree(clouds[keyframe])
     spacing = mean_spacing(clouds[keyframe], own)
-    back, frame, strange, count = [np.empty((0, 3))], [], [], len(clouds[keyframe])
-    targets, turns = [], []
+    back, targets, turns, frames, strange = [np.empty((0, 3))], [], [], [], []
+    count = len(clouds[keyframe])
     for t in nearest[1:]:
         if not len(clouds[t]) or count >= GATHERED:
             continue
@@ -92,16 +91,16 @@ def gathered_points(result: Moving, clouds: Sequence[np.ndarray]) -> tuple[np.nd
         strange.append(far)
         targets.append(clouds[t][far])
         turns.append(turned[far])
-        frame += [t] * int(far.sum())
+        frames += [t] * int(far.sum())
         count += len(far)
     points = np.concatenate(back)
-    if motion is not None and frame:
+    if motion is not None and frames:
         which = np.flatnonzero(np.concatenate(strange))
-        target, turned, row = np.concatenate(targets), np.concatenate(turns), np.arange(len(frame))
+        target, turned, row = np.concatenate(targets), np.concatenate(turns), np.arange(len(frames))
         found = points[which]
         for _ in range(INVERTED):
-            found = found + turn(turned, target - motion.carry(found)[frame, row])
-        there = np.linalg.norm(target - motion.carry(found)[frame, row], axis=1) < ARRIVED * spacing
+            found = found + turn(turned, target - motion.carry(found)[frames, row])
+        there = np.linalg.norm(target - motion.carry(found)[frames, row], axis=1) < ARRIVED * spacing
         points[which[there]] = found[there]
     known = own.query(points)[0] <= AMONG * spacing
     return np.concatenate([clouds[keyframe], points[known]]), float(known.mean()) if len(known) else 0.0
@@ -211,9 +210,7 @@ def keep_doubts(first: Reconstruction, second: Reconstruction) -> None:
         return
     webs = f"the mesh has handles ({handles}), which may be webs between limbs that touch at the keyframe"
     told["warnings"].append(f"{webs}: look at {name_frames(kept)}, or try another --keyframe")
-    for t in kept:
-        told["verdicts"][t] = DOUBTFUL
-        told["quality"][t]["reasons"].append(webs)
+    _doubt(told, kept, webs)
 
 
 def told_of_few_points(result: Reconstruction, why: str, clock: Clock | None = None) -> Reconstruction:
@@ -236,8 +233,12 @@ def told_of_few_points(result: Reconstruction, why: str, clock: Clock | None = N
     holes = f"the mesh has openings, {template['trimmed']:.0%} of it, that may be want of points"
     advice = "give more points or normals, or say --template.surface closed, or open if they are right"
     report["warnings"].append(f"{holes}: {advice}")
-    for t, verdict in enumerate(report.get("verdicts", ())):
-        if verdict == GOOD:
-            report["verdicts"][t] = DOUBTFUL
-            report["quality"][t]["reasons"].append(holes)
+    _doubt(report, [t for t, verdict in enumerate(report.get("verdicts", ())) if verdict == GOOD], holes)
     return result
+
+
+def _doubt(report: dict[str, Any], frames: Sequence[int], reason: str) -> None:
+    """Call good frames of a report doubtful."""
+    for t in frames:
+        report["verdicts"][t] = DOUBTFUL
+        report["quality"][t]["reasons"].append(reason)

@@ -222,8 +222,9 @@ class Refinement:
         begin, count = first * self.problem.vertex_count, (last - first) * self.problem.vertex_count
         if together:
             go_on(begin, count, self._momentum, self._earlier.flatten(), o.vertices.flatten())
-            for _ in range(_TURNS if self._momentum > 0 else 0):
-                self._fit_rotations(first, last, self._tie)
+            if self._momentum > 0:  # without it vertices are as rotations were fitted to them
+                for _ in range(_TURNS):
+                    self._fit_rotations(first, last, self._tie)
         self.pairing.find(first, last)
         if self.unseen.trust is not None:
             self.unseen.look(first, last, self.pairing)
