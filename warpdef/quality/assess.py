@@ -22,6 +22,7 @@ from warpdef.quality.layers import merged_share
 from warpdef.quality.overhang import outgrown_shares, overhang_share, surplus_share
 from warpdef.quality.shape import ReferenceShape, ShapeChange
 from warpdef.quality.slippage import Slippable, slippable_parts
+from warpdef.quality.swollen import LimbAreas
 from warpdef.quality.temporal import acceleration, flicker
 from warpdef.quality.verdict import DOUBTFUL, INNER_WALL, LOST, Verdict, judge
 from warpdef.sequence import name_frames
@@ -35,7 +36,8 @@ SIDE_BY_SIDE = 8
 """Frames at most that are looked at at the same time: each takes some tens of megabytes meanwhile."""
 GUESSED = 0.05
 """Share of a frame's surface far from every point from which it is told that this is a guess."""
-LAYERS = ("astray", "inner", "doubled", "layered", "shared", "blur", "exposed", "spanning", "merged") + (
+LAYERS = ("astray", "inner", "doubled", "layered", "shared", "blur", "exposed", "spanning", "swollen") + (
+    "merged",
     "overhang",
     "surplus",
     "outgrown",
@@ -134,6 +136,7 @@ def assess(
     # Far from the origin squares would lose the shape.
     centre = vertices[keyframe].mean(axis=0, dtype=np.float64)
     reference = ReferenceShape((vertices[keyframe] if shape is None else shape) - centre, faces)
+    limbs = None if eye is None else LimbAreas(reference.vertices, faces, reference.edges)
     usual = None
     if shape is None and len(vertices) > 2:
         usual = np.median([reference.edge_lengths(v - centre) for v in vertices], axis=0)
@@ -153,6 +156,8 @@ def assess(
             if eye is not None:
                 layers["exposed"] = exposed_share(*compared, eye - centre)
                 layers["spanning"] = spanning_share(*compared, eye - centre)
+            if limbs is not None:
+                layers["swollen"] = limbs.most_grown(coverage.areas, change.growth)
             # A body that has grown as a whole has grown apart.
             of_vertices = doubled_vertices(coverage, placed, change.growth * reference.vertices, faces)
             for which, found in zip(("doubled", "layered"), of_vertices, strict=True):

@@ -27,6 +27,8 @@ class FrameQuality:
     shared:       the same, asked only where one camera saw all clouds: it shows the nearer of two parts alone
     exposed:      share of the surface that stands where the one camera that saw all clouds saw nothing
     spanning:     share of it that spans a gap between points through which that camera saw
+    swollen:      by which share of it the limb that has grown most is larger than in the shape, a growth of all taken
+                  off; asked only where one camera saw all clouds
     merged:       share of the points that lie in two layers, of which the surface makes one
     inner:        share of the surface that is far from every point and enclosed by them: a wall between what has parted
     torn:         share of the surface that is far from every point and stretched at that
@@ -63,6 +65,7 @@ class FrameQuality:
     shared: float | None
     exposed: float | None
     spanning: float | None
+    swollen: float | None
     merged: float | None
     inner: float | None
     torn: float | None
