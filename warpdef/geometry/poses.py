@@ -47,12 +47,12 @@ def pose_fields(clouds: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
     return np.array([field(cloud) for cloud in thin]), float(np.median(halves))
 
 
-def differences(fields: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """d of pairs of clouds, whose numbers are ``one`` and ``other``, shape (P,), by their fields (T, K)."""
-    return np.array([np.abs(fields[a] - fields[b]).mean() for a, b in zip(one, other, strict=True)])
+def differences(fields: np.ndarray) -> np.ndarray:
+    """d of all pairs of clouds, shape (T, T), by their fields (T, K)."""
+    return np.array([np.abs(fields - field).mean(axis=1) for field in fields])
 
 
-def shared_differences(fields: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """d' of pairs of clouds, as ``differences``: how alike they are in what both show."""
-    apart = [fields[a] - fields[b] for a, b in zip(one, other, strict=True)]
-    return np.array([2.0 * min(np.maximum(d, 0.0).mean(), np.maximum(-d, 0.0).mean()) for d in apart])
+def shared_differences(fields: np.ndarray) -> np.ndarray:
+    """d' of all pairs of clouds, as ``differences``: how alike they are in what both show."""
+    over = np.array([np.maximum(fields - field, 0.0).mean(axis=1) for field in fields])
+    return 2.0 * np.minimum(over, over.T)
