@@ -108,6 +108,6 @@ def test_one_scanner_made_the_strays_of_all_frames(rng, monkeypatch, shares, kep
     """What a frame leaves open, whether strays or a sparse part of the surface, is as in most frames."""
     told = iter(shares)
     monkeypatch.setattr(strays, "MIN_POINTS", 1)
-    monkeypatch.setattr(strays, "_suspected", lambda points, device: (np.arange(len(points)) < 2, next(told)))
+    monkeypatch.setattr(strays, "_suspected", lambda points, *_: (np.arange(len(points)) < 2, next(told)))
     sequence = PointSequence.from_arrays(list(rng.normal(size=(3, 20, 3))))
     assert [len(points) for points in drop_strays(sequence).points] == kept

@@ -51,7 +51,7 @@ class Config:
     crop: str = ""
     """Only points inside this box are used, ``x0:x1,y0:y1,z0:z1`` in input units, any end left out; empty: all."""
     cut_static: bool = True
-    """Cut planes wider than the object that stand still in all frames: floor, walls, table; objects alone keep all."""
+    """Cut planes wider than the object that stand still in all frames (floor, walls, table), furniture with them."""
     drop_strays: bool = True
     """Leave out points that belong to no surface: single ones and loose clusters far from it; clean clouds keep all."""
     trust_normals: bool = False

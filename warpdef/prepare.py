@@ -150,10 +150,11 @@ def clean(sequence: PointSequence, config: Config, device: wp.Device | None = No
         sequence = crop(sequence, config.crop)
     if config.drop_strays:
         sequence = drop_far(sequence)
+    whole = sequence
     if config.cut_static:
         sequence = cut_static_planes(sequence)
     if config.drop_strays:
-        sequence = drop_strays(sequence, device)
+        sequence = drop_strays(sequence, device, scene=sequence is not whole)
     sequence = tell_coarse_steps(sequence)
     if not config.trust_normals:
         sequence = turn_to_one_side(leave_out_useless_normals(sequence), config.template.neighbours)

@@ -9,6 +9,9 @@ Only planes, and only such as cannot be the object's own resting part. A plane i
    goes on beyond it to at least three of four sides, as no face of a box does;
 4. enough is left in every frame.
 
+With a plane goes what stands beside it: furniture, which would also make what is left as wide as the walls (see
+``furniture``). It is set aside before 2 and 3 are asked, and cut if a plane is.
+
 Planes are looked for by random triples of points of one frame, the best of ``TRIALS``, then fitted to the points near
 it; what lies within four standard deviations of their heights belongs to it. Then the next, up to ``PLANES``.
 """
@@ -20,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warpdef.cleaning.furniture import furniture_masks
 from warpdef.sequence import MIN_POINTS, PointSequence, name_frames
 
 SHARE = 0.1
@@ -32,6 +36,7 @@ WIDER = 1.5
 BEYOND = 0.03  # of the plane's longer side
 LEFT = 0.02  # of a frame's points
 LEFT_POINTS = 100
+LEAST_TOLD = 0.005  # of all points, below which furniture is no more than specks of the planes
 TRIALS = 1000
 PLANES = 4
 SAMPLE = 6000  # points in which planes are looked for
@@ -51,9 +56,26 @@ class Plane:
         return np.abs(points @ self.normal - self.offset) <= self.tolerance
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """What stands still: planes, and which points of each frame are furniture, T of shape (N_t,)."""
+
+    planes: list[Plane]
+    furniture: list[np.ndarray]
+
+    def masks(self, clouds: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Which points of the clouds it takes."""
+        return [_any_holds(self.planes, cloud) | beside for cloud, beside in zip(clouds, self.furniture, strict=True)]
+
+
 def find_static_planes(clouds: Sequence[np.ndarray]) -> list[Plane]:
     """Planes that stand still in all clouds, (N_t, 3) each, the largest first; empty for an object alone."""
-    step = max(sum(map(len, clouds)) // SAMPLE, 1)
+    return find_surroundings(clouds).planes
+
+
+def find_surroundings(clouds: Sequence[np.ndarray]) -> Surroundings:
+    """Planes that stand still in all clouds, (N_t, 3) each, the largest first, and furniture; else nothing."""
+    step = _prime_from(sum(map(len, clouds)) // SAMPLE)
     thin = [np.asarray(cloud, dtype=np.float64)[::step] for cloud in clouds]
     centre = np.median(np.concatenate(thin), axis=0)
     thin = [cloud - centre for cloud in thin]  # near the origin, for the digits of far places
@@ -62,16 +84,43 @@ def find_static_planes(clouds: Sequence[np.ndarray]) -> list[Plane]:
     while len(planes) < PLANES and (plane := _best_plane(left, SHARE * sum(map(len, thin)))) is not None:
         planes.append(plane)
         left = [cloud[~plane.holds(cloud)] for cloud in left]
+    beside = [np.zeros(len(cloud), dtype=bool) for cloud in clouds]
+    if not any(_still_cells(plane, thin) for plane in planes):
+        return Surroundings([], beside)
+    near = [np.asarray(cloud, dtype=np.float64) - centre for cloud in clouds]
     # Each is held against what none of them takes; one that is no static plane gives its points back.
     while planes:
-        rest = [cloud[~_any_holds(planes, cloud)] for cloud in thin]
+        beside = _furniture(planes, near)
+        rest = [c[~(_any_holds(planes, c) | b[::step])] for c, b in zip(thin, beside, strict=True)]
         wrong = [plane for plane in planes if not _is_static(plane, thin, rest)]
         if not wrong:
             break
         # The smallest first: a card on a table may hold as many points as the table.
         least = min(reversed(wrong), key=lambda plane: _area(plane, thin))
         planes = [plane for plane in planes if plane is not least]
-    return [replace(plane, offset=plane.offset + float(plane.normal @ centre)) for plane in planes]
+    if not planes:
+        beside = [np.zeros_like(mask) for mask in beside]
+    return Surroundings(
+        [replace(plane, offset=plane.offset + float(plane.normal @ centre)) for plane in planes], beside
+    )
+
+
+def _prime_from(count: int) -> int:
+    """The least prime from there on, or 1: such steps meet all columns of an image, not a few of them in each row."""
+    if count <= 1:
+        return 1
+    while any(count % k == 0 for k in range(2, int(count**0.5) + 1)):
+        count += 1
+    return count
+
+
+def _furniture(planes: Sequence[Plane], clouds: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Which points of the clouds are furniture, with those of the planes away."""
+    masks = [~_any_holds(planes, cloud) for cloud in clouds]
+    found = furniture_masks([cloud[mask] for cloud, mask in zip(clouds, masks, strict=True)])
+    for mask, inside in zip(masks, found, strict=True):
+        mask[mask] = inside
+    return masks
 
 
 def _any_holds(planes: Sequence[Plane], points: np.ndarray) -> np.ndarray:
@@ -128,57 +177,77 @@ def _fitted(every: np.ndarray, normal: np.ndarray, offset: float, size: float) -
     return Plane(normal, offset, tolerance)
 
 
+@dataclass(frozen=True)
+class _Grid:
+    """Cells in a plane: its axes (2, 3), corners of what it holds, (2,) each, and a cell's side."""
+
+    axes: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    side: float
+
+    def cells(self, points: np.ndarray) -> np.ndarray:
+        """Cells that points (N, 3) take up, each once, (K, 2)."""
+        return np.unique(np.floor((points @ self.axes.T - self.low) / self.side).astype(int), axis=0)
+
+
+def _grid(plane: Plane, held: Sequence[np.ndarray]) -> _Grid:
+    axes = np.linalg.svd(plane.normal[None])[2][1:]
+    low, high = np.percentile(np.concatenate(held) @ axes.T, [0.5, 99.5], axis=0)
+    # So many cells that one holds several of a frame's points, else frames would differ by chance.
+    usual = float(np.median([len(h) for h in held]))
+    return _Grid(axes, low, high, float((high - low).max()) / min(CELLS, max(int(np.sqrt(usual / 6.0)), 2)))
+
+
+def _still_cells(plane: Plane, clouds: Sequence[np.ndarray]) -> int:
+    """Cells of a plane that stand still; 0 if it holds too little of some frames, or moves."""
+    held = [cloud[plane.holds(cloud)] for cloud in clouds]
+    share = np.array([len(h) / max(len(cloud), 1) for h, cloud in zip(held, clouds, strict=True)])
+    if (share >= SHARE).mean() < MOST_FRAMES:
+        return 0
+    grid = _grid(plane, held)
+    times = np.unique(np.concatenate([grid.cells(h) for h in held]), axis=0, return_counts=True)[1]
+    still = int((times >= CELL_KEPT * len(held)).sum())
+    return still if still >= STILL * len(times) else 0
+
+
 def _is_static(plane: Plane, clouds: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> bool:
     """Whether a plane of the clouds stands still and bounds what is left, ``rest`` by all planes."""
-    held = [plane.holds(cloud) for cloud in clouds]
-    share = np.array([h.mean() for h in held])
     left = np.array([len(r) / max(len(c), 1) for r, c in zip(rest, clouds, strict=True)])
-    if (share >= SHARE).mean() < MOST_FRAMES or (left < LEFT).any():
+    still = _still_cells(plane, clouds)
+    if not still or (left < LEFT).any():
         return False
-    above = np.concatenate(rest) @ plane.normal > plane.offset
+    beside = np.concatenate(rest)
+    above = beside @ plane.normal > plane.offset
     if max(above.mean(), 1.0 - above.mean()) < ONE_SIDE:
         return False
-    # In the plane: which cells it and the rest take up.
-    axes = np.linalg.svd(plane.normal[None])[2][1:]
-    flat = [(cloud[h] @ axes.T, r @ axes.T) for cloud, h, r in zip(clouds, held, rest, strict=True)]
-    on = np.concatenate([a for a, _ in flat])
-    low, high = np.percentile(on, [0.5, 99.5], axis=0)
-    beside = np.concatenate([r for _, r in flat])
-    inner = np.percentile(beside, [1, 99], axis=0)
-    if (np.concatenate([inner[0] - low, high - inner[1]]) > BEYOND * float((high - low).max())).sum() < 3:
+    grid = _grid(plane, [cloud[plane.holds(cloud)] for cloud in clouds])
+    inner = np.percentile(beside @ grid.axes.T, [1, 99], axis=0)
+    beyond = np.concatenate([inner[0] - grid.low, grid.high - inner[1]])
+    if (beyond > BEYOND * float((grid.high - grid.low).max())).sum() < 3:
         return False
-    # So many cells that one holds several of a frame's points, else frames would differ by chance.
-    usual = float(np.median([len(a) for a, _ in flat]))
-    side = float((high - low).max()) / min(CELLS, max(int(np.sqrt(usual / 6.0)), 2))
-    times: dict[tuple[int, int], int] = {}
-    for a, _ in flat:
-        for cell in map(tuple, np.unique(np.floor((a - low) / side).astype(int), axis=0)):
-            times[cell] = times.get(cell, 0) + 1
-    still = sum(count >= CELL_KEPT * len(flat) for count in times.values())
-    if still < STILL * len(times):
-        return False
-    below = [len(np.unique(np.floor((r - low) / side).astype(int), axis=0)) for _, r in flat if len(r)]
-    return still >= WIDER * float(np.median(below))
+    return still >= WIDER * float(np.median([len(grid.cells(r)) for r in rest if len(r)]))
 
 
 def cut_static_planes(sequence: PointSequence) -> PointSequence:
-    """The sequence without floor, walls and table tops; a note says what was cut.
+    """The sequence without floor, walls and table tops, and without furniture; a note says what was cut.
 
     A frame of which nothing would be left stays whole.
     """
-    planes = find_static_planes(sequence.points)
-    kept, cut = [], 0
-    for points in sequence.points:
-        mask = ~_any_holds(planes, points)
-        kept.append(mask if mask.sum() >= LEFT_POINTS else np.ones(len(points), dtype=bool))
+    scene = find_surroundings(sequence.points)
+    kept, cut, beside = [], 0, 0
+    for held, furniture in zip(scene.masks(sequence.points), scene.furniture, strict=True):
+        mask = ~held
+        kept.append(mask if mask.sum() >= LEFT_POINTS else np.ones(len(mask), dtype=bool))
         cut += int((~kept[-1]).sum())
+        beside += int((furniture & ~kept[-1]).sum())
     if not cut:
         return sequence
-    share = cut / sum(map(len, sequence.points))
-    what = "a plane that stands" if len(planes) == 1 else f"{len(planes)} planes that stand"
-    which = name_frames(sequence.numbers)
+    points = sum(map(len, sequence.points))
+    what = "a plane that stands" if len(scene.planes) == 1 else f"{len(scene.planes)} planes that stand"
+    more = f", what stands still beside (furniture, {beside / points:.0%})" if beside >= LEAST_TOLD * points else ""
     note = (
-        f"{which}: {what} still in all of them (floor, wall, table) and {share:.0%} of the points with it cut; "
-        "--no-cut-static keeps it"
+        f"{name_frames(sequence.numbers)}: {what} still in all of them (floor, wall, table){more} and "
+        f"{cut / points:.0%} of the points with it cut; --no-cut-static keeps it"
     )
     return sequence.keep(kept, note)

@@ -9,7 +9,9 @@ all they have:
 2. Where the first test found strays, others float close above the surface: points whose height over the plane of their
    neighbours is several spacings and much more than the roughness there.
 
-A cloud in which the first test finds next to nothing keeps every point.
+A cloud in which the first test finds next to nothing keeps every point, and so does one in which most of what is cut
+off continues the plane of its neighbours: a sparse part of the surface. Beside a scene that was cut these are rather
+pixels between body and background, a curve along the outline, or the rims of what was cut: few of them are dropped.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ FLAT, SPARSE = 0.3, 6.0  # ... or below the latter, and its neighbourhoods are t
 IN_PLANE_FLAT, IN_PLANE_HEIGHT = 0.2, 0.3  # a cut-off point in the plane of flat neighbours is surface, not stray
 FALSE_ALARM = 0.4  # share of such among the cut-off points, above which these are a sparse part of the surface ...
 CERTAIN = 0.7  # ... but up to here only if it is so in most frames: one scanner made them all
+SCENE_STRAYS = 0.1  # share of the points, up to which what is cut off beside a scene is no surface
 STRICT_FROM = 0.05  # share of strays by the careful rule from which the strict one is asked
 LEAST_STRAYS = 0.002  # share of the points; up to that, nothing is dropped
 HEIGHT = 0.75  # of a floating point, in local spacings
@@ -57,9 +60,9 @@ def inlier_mask(points: np.ndarray, device: wp.Device | None = None) -> np.ndarr
     return mask if flat <= FALSE_ALARM else np.ones_like(mask)
 
 
-def _suspected(points: np.ndarray, device: wp.Device | None) -> tuple[np.ndarray, float]:
+def _suspected(points: np.ndarray, device: wp.Device | None, scene: bool = False) -> tuple[np.ndarray, float]:
     """The mask if what is cut off are strays, and the share of it that speaks for a sparse part of the surface; that
-    is NaN if nothing is cut off."""
+    is NaN if nothing is cut off, and 0 beside a scene if it is little."""
     points = np.asarray(points, dtype=np.float64)
     every = np.ones(len(points), dtype=bool), np.nan
     if len(points) < LEAST_POINTS:
@@ -78,6 +81,8 @@ def _suspected(points: np.ndarray, device: wp.Device | None) -> tuple[np.ndarray
     if (~inlier).sum() <= most:
         return every
     flat = float(_in_plane(points[~inlier], points[index[~inlier]], spacing[~inlier]).mean())
+    if scene and (~inlier).mean() <= SCENE_STRAYS:
+        flat = 0.0
     if flat > CERTAIN:
         return every[0], flat
     if (~inlier).mean() > STRICT_FROM:
@@ -161,12 +166,12 @@ def _floats(points: np.ndarray) -> np.ndarray:
     return floats
 
 
-def drop_strays(sequence: PointSequence, device: wp.Device | None = None) -> PointSequence:
+def drop_strays(sequence: PointSequence, device: wp.Device | None = None, scene: bool = False) -> PointSequence:
     """The sequence without points that belong to no surface; a note says how many, and in which frames.
 
-    Frames that would be left with fewer than ``MIN_POINTS`` points stay whole.
+    ``scene``: what is left of one. Frames that would be left with fewer than ``MIN_POINTS`` points stay whole.
     """
-    masks, flat = zip(*(_suspected(points, device) for points in sequence.points), strict=True)
+    masks, flat = zip(*(_suspected(points, device, scene) for points in sequence.points), strict=True)
     shares = [share for share in flat if not np.isnan(share)]
     most = CERTAIN if shares and float(np.median(shares)) <= FALSE_ALARM else FALSE_ALARM
     masks = [
