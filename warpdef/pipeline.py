@@ -7,11 +7,13 @@ Section names are those of *Preconditioned Deformation Grids* (Pacific Graphics 
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +28,7 @@ from warpdef.fit.objective import Objective
 from warpdef.fit.optimise import Optimiser
 from warpdef.fit.problem import Problem
 from warpdef.fit.refine import Refinement
-from warpdef.fit.run import FitRun
+from warpdef.fit.run import FitRun, Fitted
 from warpdef.fit.saving import Saver, lasting_facts
 from warpdef.fit.workers import Team
 from warpdef.geometry.closest import closest_kernels
@@ -35,7 +37,7 @@ from warpdef.motion.gaps import fill_gaps
 from warpdef.motion.grid_motion import GridMotion
 from warpdef.prepare import Prepared, Safeguards, prepare
 from warpdef.progress import Callback, Interruption, Limits, Progress, held_interrupts
-from warpdef.reports import find_look, find_verdicts, run_report
+from warpdef.reports import find_look, find_verdicts, run_costs, run_report
 from warpdef.result import Reconstruction
 from warpdef.sequence import PointSequence
 from warpdef.shortage import explained_shortage, retried
@@ -154,8 +156,12 @@ class _Run:
                     run.refine()
                 if self.gathers and not run.stopped:
                     run.keep()  # what it goes on from if it is cut short in the second
-                result = self._result(run, config, team.size)
-                ended = interruption.signal if run.stopped and interruption.asked else None
+                fitted, report = run.fitted(), run_report(ready, self.chosen, run, team.size)
+                # Judging takes as much again a frame; the fit's arrays hold on to one another.
+                del run, optimiser, refinement
+                gc.collect()
+                result = self._result(fitted, report, config)
+                ended = interruption.signal if fitted.stopped and interruption.asked else None
                 result.report |= {"interrupted": ended is not None, "signal": ended}
         return result
 
@@ -220,30 +226,29 @@ class _Run:
         vertices = fill_gaps(objective.placed_vertices(), sequence.numbers, sequence.frame_count)
         return MeshSequence(vertices / np.float32(into.scale) + into.centre.astype(np.float32), self.chosen.mesh.faces)
 
-    def _result(self, run: FitRun, config: Config, threads: int) -> Reconstruction:
-        """Meshes and motion in input units, with missing frames filled in, judged; and the report."""
+    def _result(self, fitted: Fitted, report: dict[str, Any], config: Config) -> Reconstruction:
+        """Meshes and motion in input units, with missing frames filled in, judged; and the report of the run."""
         ready, into, sequence, chosen = self.ready, self.clouds.into, self.ready.sequence, self.chosen
-        vertices, faces = run.optimiser.objective.placed_vertices(), chosen.mesh.faces
+        vertices, faces = fitted.vertices, chosen.mesh.faces
         led = None
         if self.landmarks is not None:
             led = self.landmarks.as_dict(vertices, into.scale)
-            run.warnings += self.landmarks.warnings(vertices)
+            report["warnings"] += self.landmarks.warnings(vertices)
         vertices = fill_gaps(vertices, sequence.numbers, sequence.frame_count, faces, sequence.times)
         vertices = float32_where_exact(into.from_cube(vertices))
         levels = (config.grid.coarsest, config.grid.levels)
-        nodes, placed = run.optimiser.nodes.numpy(), (into, sequence.numbers, sequence.frame_count)
-        motion = GridMotion.from_nodes(nodes, levels, chosen.keyframe, *placed)
+        placed = into, sequence.numbers, sequence.frame_count
+        motion = GridMotion.from_nodes(fitted.nodes, levels, chosen.keyframe, *placed)
 
-        result = Reconstruction(vertices, faces, chosen.keyframe, config, steps=run.steps, motion=motion)
+        result = Reconstruction(vertices, faces, chosen.keyframe, config, report, fitted.steps, motion)
         with ready.clock.phase("assess"):
             result.appearance, colored, left = find_look(result, sequence, ready.template)
             verdicts = find_verdicts(result, self.clouds, ready.device, self.threads)
-        result.report = run_report(ready, chosen, run, threads)
         noise = self.clouds.noise
-        result.report["warnings"] += left + verdicts.pop("warnings") + ([] if noise is None else [noise_note(noise)])
-        result.report["noise"] = noise
-        result.report |= {"colours": colored, "landmarks": led, "resumed": self._resumed, **verdicts}
-        result.report["input"] = {"path": self.safeguards.notes.get("input", ""), "digests": run.saver.digests}
+        report["warnings"] += left + verdicts.pop("warnings") + ([] if noise is None else [noise_note(noise)])
+        report["noise"] = noise
+        report |= {"colours": colored, "landmarks": led, "resumed": self._resumed, **verdicts, **run_costs(ready)}
+        report["input"] = {"path": self.safeguards.notes.get("input", ""), "digests": fitted.digests}
         return result
 
 

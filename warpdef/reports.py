@@ -71,8 +71,8 @@ def find_verdicts(
 
 
 def run_report(ready: Prepared, chosen: ChosenTemplate, run: FitRun, threads: int) -> dict[str, Any]:
-    """What was used, chosen and done, plain values; looks and verdicts are the caller's to add."""
-    sequence, clock = ready.sequence, ready.clock
+    """What was used, chosen and done, plain values; looks, verdicts and costs since then are the caller's to add."""
+    sequence = ready.sequence
     optimiser, refinement = run.optimiser, run.refinement
     device = optimiser.problem.device
     stages, vertex_stage = {"sobolev": optimiser.solves}, None
@@ -108,10 +108,17 @@ def run_report(ready: Prepared, chosen: ChosenTemplate, run: FitRun, threads: in
         "losses": {key: value for key, value in (run.steps[-1] if run.steps else {}).items() if key != "iteration"},
         "refine": vertex_stage,
         "solver": {stage: solves.as_dict() for stage, solves in stages.items()},
-        "seconds": dict(clock.seconds),
-        "cpu_seconds": dict(clock.cpu_seconds),
+        **run_costs(ready),
+        "warnings": warnings,
+    }
+
+
+def run_costs(ready: Prepared) -> dict[str, Any]:
+    """Time and memory so far, for a report."""
+    return {
+        "seconds": dict(ready.clock.seconds),
+        "cpu_seconds": dict(ready.clock.cpu_seconds),
         "memory_estimate_mb": round(ready.estimate.total / 2**20, 1),
         "peak_memory_mb": round(peak_memory_mb(), 1),
-        "device_memory": device_memory(device),
-        "warnings": warnings,
+        "device_memory": device_memory(ready.device),
     }

@@ -8,7 +8,7 @@ with what it has. All of that happens at fixed iterations, so a run taken up aga
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,21 @@ from warpdef.progress import Callback, Limits, Progress
 LOOK_EVERY = 10  # iterations between two looks at the losses: a look waits for the device
 UNDO_MAX = 20  # undone steps in a row after which lower rates will not help either
 _ROUND_COST = 3.0  # of a round of the vertex stage in iterations, for planning; about 2 were measured
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What comes out, apart from the device.
+
+    vertices: cube units, (T', V, 3) float32, of the frames fitted. nodes: of the grids, as ``Optimiser.nodes``.
+    steps: the loss curve. stopped: why the run ended before its time, or empty. digests: of the clouds, by frame.
+    """
+
+    vertices: np.ndarray
+    nodes: np.ndarray
+    steps: list[dict[str, float]]
+    stopped: str
+    digests: list[str]
 
 
 class FitRun:
@@ -159,6 +174,12 @@ class FitRun:
         if reason and r.done < rounds:
             self.stopped = self.stopped or reason
             self._save_and_end()
+
+    def fitted(self) -> Fitted:
+        """The end of the run."""
+        o = self.optimiser
+        placed = o.objective.placed_vertices()
+        return Fitted(placed, o.nodes.numpy(), self.steps, self.stopped, self.saver.digests)
 
     # On disk.
 
