@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import synthetic
 import warp as wp
 
 import warpdef
-from warpdef import memory
+from warpdef import memory, pipeline
 from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.fit.optimise import Optimiser
@@ -209,3 +210,24 @@ def test_containers_limits_count(version: int, line: str, place: str, tmp_path: 
     group(root / place, version, "90", 400, 0)  # all that a container sees of itself
     assert left() == 0
     assert memory._group_left(root, tmp_path / "missing") is None
+
+
+def test_the_fit_is_gone_when_its_result_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    moving = synthetic.turning_ellipsoid(4, 400, np.random.default_rng(0), 3)
+    judge, compiled, there = pipeline.find_verdicts, pipeline._compile, {}
+
+    def fitting(optimiser: Optimiser, refinement: Refinement | None) -> None:
+        there["fit"] = allocated() - before
+        compiled(optimiser, refinement)
+
+    def judging(*a: Any, **k: Any) -> dict[str, Any]:
+        there["judge"] = allocated() - before
+        return judge(*a, **k)
+
+    monkeypatch.setattr(pipeline, "_compile", fitting)
+    monkeypatch.setattr(pipeline, "find_verdicts", judging)
+    before = allocated()
+    config = replace(Config(), optimiser=replace(Config().optimiser, iterations=10))
+    warpdef.reconstruct(moving.clouds, config, device="cpu", threads=1)
+    # The nodes of the grids are the result's.
+    assert there["judge"] < 0.4 * there["fit"], there
