@@ -92,8 +92,8 @@ def estimate_memory(points: Sequence[int], vertices: int, config: Config, cuda: 
     of_points += (_SEARCH + VECTOR + 2 * INDEX + _SORTED + _SEARCH) * few + cells(max(guided))
     return MemoryEstimate(
         process=_PROCESS,
-        # Points and normals as read, and once more in the cube and laid out behind each other: 3 float64 each.
-        clouds=24 * 6 * total,
+        # Points and normals as read, and one of them once more on its way to the device: 3 float64 each.
+        clouds=24 * 3 * total,
         points=of_points + pooled["input term"],
         grids=a_node * nodes + pooled["grids"],
         # A factor of the template's own system: some 40 entries a vertex.
