@@ -219,6 +219,8 @@ BREAKS = [
           "an arm held up where the camera saw nothing is good"),
     Break("warpdef/quality/exposed.py", "(coverage.away > FAR) & ~steep", "coverage.away > np.inf", ("sheets_judged",),
           "a web across a gap that the camera saw through is good"),
+    Break("warpdef/fit/limb_search.py", "- (1.0 + DOUBLE) * twice - cost", "- cost", ("limb_search",),
+          "fingers are put where others are"),
     Break("warpdef/geometry/limbs.py", "for of in (peak[lower], peak[higher])", "for of in (peak[lower],)", ("limbs",),
           "the farthest finger of a hand is no limb"),
     Break("warpdef/quality/swollen.py", "ratio / growth**2 - 1.0", "ratio - growth", ("limbs",),

@@ -120,6 +120,17 @@ class _Told:
         return np.full((len(BODY.vertices[0]), 3), float(len(pose)))
 
 
+class _Limbs:
+    """A search for limbs whose faults are told, by frame; its poses are two longer."""
+
+    def __init__(self, left: dict[int, float]) -> None:
+        self.left, self.asked = left, list[int]()
+
+    def better(self, cloud: int, found: tuple[int, ...], fault: float) -> tuple[tuple[int, ...], float]:
+        self.asked.append(cloud)
+        return (0, 0, *found), self.left.get(cloud, fault)
+
+
 BACK = (10, 11, 10, 9, 8, 7)  # frame 10 once more, from 11
 
 
@@ -138,6 +149,7 @@ def test_what_one_camera_saw_is_tried_from_behind(monkeypatch, faults, recover, 
     told = _Told(faults)
     monkeypatch.setattr(walks._Walk, "bending", told)
     monkeypatch.setattr(walks._Walk, "_seen_cloud", lambda self, frame: frame)
+    monkeypatch.setattr(walks._Walk, "limb_search", _Limbs({}))
     settled: list[tuple[int, int]] = []
     monkeypatch.setattr(walks._Walk, "_settle", lambda self, frame, neighbour: settled.append((frame, neighbour)))
     with closing(Team(1)) as team:
@@ -152,3 +164,31 @@ def test_what_one_camera_saw_is_tried_from_behind(monkeypatch, faults, recover, 
     assert placed == (len(BACK) if kept else len(BACK) - 2)
     # All from rest as well, but those whose neighbour is at rest.
     assert told.from_rest == set(range(FRAMES)) - {KEYFRAME - 1, KEYFRAME, KEYFRAME + 1}
+
+
+@pytest.mark.parametrize(
+    ("fault", "left", "recover", "asked", "kept"),
+    [
+        (0.08, 0.035, True, True, True),  # less than half
+        (0.08, 0.05, True, True, False),
+        (0.02, 0.016, True, True, True),  # right now
+        (0.014, 0.001, True, False, False),  # no fault
+        (0.08, 0.01, False, False, False),
+    ],
+)
+def test_limbs_are_looked_for_where_a_fault_stays(monkeypatch, fault, left, recover, asked, kept) -> None:
+    limbs = _Limbs({10: left})
+    monkeypatch.setattr(walks._Walk, "bending", _Told({BACK[2:]: fault, BACK: 1.0}))
+    monkeypatch.setattr(walks._Walk, "limb_search", limbs)
+    monkeypatch.setattr(walks._Walk, "_seen_cloud", lambda self, frame: frame)
+    settled: list[tuple[int, int]] = []
+    monkeypatch.setattr(walks._Walk, "_settle", lambda self, frame, neighbour: settled.append((frame, neighbour)))
+    with closing(Team(1)) as team:
+        optimiser, refinement = lost_chain(team, chain=False)
+        problem = optimiser.problem
+        problem.seen, config = True, problem.config
+        problem.config = replace(config, refine=replace(config.refine, recover=recover))
+        bent = follow(optimiser.objective, refinement)[1]
+        placed = optimiser.objective.vertices.numpy()[10, 0, 0]
+    assert limbs.asked == [10] * asked and bent == [10] * kept
+    assert settled.count((10, 9)) == 1 + kept and placed == len(BACK[2:]) + 2 * kept

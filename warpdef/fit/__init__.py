@@ -24,6 +24,7 @@ Without the paper's chain the mesh then follows the grids, frame by frame:
 
     follow                      outwards from the keyframe, by ``refine`` and, what is lost, by ``recover``
     bending, transport          the same where one camera saw a part of the surface; matches that give each its share
+    limb_search, limb_chains    limbs in many poses at once, where that leaves a fault; limbs as chains of links
     sliding                     a mesh that hangs over the end of its cloud goes back along itself
     recover, embedded           lost limbs found again by matches; a mesh bent by a few hundred rigid pieces
 

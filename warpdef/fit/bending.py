@@ -78,6 +78,7 @@ _LITTLE = 1e-2
 _TINY = 1e-30
 
 
+Schedule = tuple[tuple[float, float, int], ...]
 Matched = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Vertices (m,), their goals and the normals there, (m, 3) each, and weights (m,)."""
 
@@ -143,7 +144,7 @@ class Bending:
         if is_watertight(faces):
             self.graph = self.graph.braced(rest, vertex_normals(rest, faces))
         self._chosen, self._coarse, self._sharing = (_Sample.of(rest, faces, n) for n in (POINTS, COARSE, SHARED))
-        self._edges, self._lengths = edges, edge_lengths(rest, edges)
+        self.edges, self._lengths = edges, edge_lengths(rest, edges)
 
     @property
     def matched(self) -> np.ndarray:
@@ -164,6 +165,19 @@ class Bending:
     def place(self, pose: Pose) -> np.ndarray:
         """All vertices in a pose, (V, 3)."""
         return self.graph.place(self.rest, pose)
+
+    def facing(self, placed: np.ndarray) -> np.ndarray:
+        """Normals at vertices that are matched among all of them, placed (V, 3); elsewhere they mean nothing."""
+        return self._chosen.facing(placed)
+
+    def settled(self, cloud: SeenCloud, start: Pose) -> Pose:
+        """The pose by nearest points from one that is close to it."""
+        return self._by_nearest(cloud, start, SCHEDULE, self._chosen)
+
+    def by_part(self, cloud: SeenCloud, start: Pose, vertex: np.ndarray, schedule: Schedule) -> Pose:
+        """The same by some vertices alone (m,); what has no match stays bent as at rest."""
+        part = _Sample(vertex, self.faces[np.isin(self.faces, vertex).any(axis=1)])
+        return self._by_nearest(cloud, start, schedule, part, self.still())
 
     def onto(self, cloud: SeenCloud, start: Pose, usual: float = 0.0) -> Pose:
         """The pose that brings the mesh onto a cloud, looked for from another by nearest points or, if better, shares;
@@ -209,7 +223,7 @@ class Bending:
         beside = np.linalg.norm(placed[best] - placed[chosen], axis=1)
         double = (met < ON * s) & (apart > ELSEWHERE * beside + ON * s)
         unseen = len(self._contradicted(cloud, placed, facing, chosen[met > ON * s], FULL_VIEW)[0])
-        shares = np.mean(away > ON * s), np.mean(double), stretched_share(placed, self._edges, self._lengths)
+        shares = np.mean(away > ON * s), np.mean(double), stretched_share(placed, self.edges, self._lengths)
         return float(sum(shares)) + 0.5 * unseen / len(chosen)
 
     def _by_shares(self, cloud: SeenCloud, start: Pose) -> Pose:
@@ -243,7 +257,7 @@ class Bending:
         self,
         cloud: SeenCloud,
         start: Pose,
-        schedule: tuple[tuple[float, float, int], ...],
+        schedule: Schedule,
         sample: _Sample,
         usual: Pose | None = None,
     ) -> Pose:

@@ -10,7 +10,7 @@ What fits better is kept; what stays lost is tried once more from the frame behi
 
 What one camera saw is followed without the grids: the template itself is bent onto one frame after the other
 (``bending``), each from the pose of its inner neighbour or from rest, before the vertex stage fits it. What has a fault
-then is tried once more from the frame behind.
+then is tried once more from the frame behind, and what still has with its limbs elsewhere (``limb_search``).
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import numpy as np
 
 from warpdef.fit.bending import FAULTLESS, Bending, SeenCloud, worth
 from warpdef.fit.embedded import Pose
+from warpdef.fit.limb_search import LimbSearch
 from warpdef.fit.measures import stretched_share
 from warpdef.fit.objective import Objective
 from warpdef.fit.problem import span
@@ -110,6 +111,11 @@ class _Walk:
         """The template and its graph."""
         return Bending(self.problem.template.astype(np.float64), self.problem.faces, self._edges)
 
+    @cached_property
+    def limb_search(self) -> LimbSearch:
+        """Its limbs."""
+        return LimbSearch(self.bending)
+
     def bent_outwards(self, transitions: range) -> list[int]:
         """Frames of one side, of what one camera saw, in order."""
         ends, fitted = self.problem.transitions, list[int]()
@@ -136,6 +142,9 @@ class _Walk:
             for inner, outer in _from_behind(fitted):
                 if faults[inner] > FAULTLESS and not self.stopped():
                     self._bend_back(inner, outer, poses, faults)
+            for frame, inner in zip(fitted, [ends.keyframe, *fitted], strict=False):
+                if faults[frame] > FAULTLESS and not self.stopped():
+                    self._bend_limbs(frame, inner, poses, faults)
         return fitted
 
     def _bend_back(self, inner: int, outer: int, poses: dict[int, Pose], faults: dict[int, float]) -> None:
@@ -144,9 +153,20 @@ class _Walk:
         pose, left = self.bending.best(cloud, poses[outer], enough)
         if left < enough:
             poses[inner], faults[inner] = pose, left
-            self.objective.vertices[inner].assign(self.bending.place(pose).astype(np.float32))
-            self._settle(inner, outer)
-            self.bent.add(inner)
+            self._bent_anew(inner, outer, pose)
+
+    def _bend_limbs(self, frame: int, neighbour: int, poses: dict[int, Pose], faults: dict[int, float]) -> None:
+        """A frame with its limbs looked for elsewhere, if what that leaves is worth it."""
+        pose, left = self.limb_search.better(self._seen_cloud(frame), poses[frame], faults[frame])
+        if left < worth(faults[frame]):
+            poses[frame], faults[frame] = pose, left
+            self._bent_anew(frame, neighbour, pose)
+
+    def _bent_anew(self, frame: int, neighbour: int, pose: Pose) -> None:
+        """A frame settled from another pose."""
+        self.objective.vertices[frame].assign(self.bending.place(pose).astype(np.float32))
+        self._settle(frame, neighbour)
+        self.bent.add(frame)
 
     def _seen_cloud(self, frame: int) -> SeenCloud:
         return SeenCloud.of(*self._points(frame), self.problem.eye)
