@@ -9,8 +9,8 @@ from hand_samples import EDGES, FACES, VERTICES, finger
 
 from warpdef.fit.bending import Bending, SeenCloud, worth
 from warpdef.fit.embedded import Pose
-from warpdef.fit.limb_chains import Chain, LimbChains
-from warpdef.fit.limb_search import CLEAR, COVER, TILTED, Field, LimbSearch, closest_sq, tried_turns
+from warpdef.fit.limb_chains import LimbChain, LimbChains
+from warpdef.fit.limb_search import CLEAR, COVER, TILTED, LimbField, LimbSearch, closest_sq, tried_turns
 from warpdef.geometry.triangles import vertex_normals
 
 CAMERA = np.array([1.0, 0.0, 30.0])
@@ -18,7 +18,7 @@ BENDING = Bending(VERTICES, FACES, EDGES)
 LIMBS = LimbChains(VERTICES, FACES, EDGES, BENDING.graph, BENDING.matched)
 
 
-def chain_of(which: int) -> Chain:
+def chain_of(which: int) -> LimbChain:
     (found,) = (chain for chain in LIMBS.chains if finger(which)[chain.vertex].mean() > 0.5)
     return found
 
@@ -99,9 +99,9 @@ def test_points_that_the_body_leaves_and_what_the_camera_did_not_see(rng: np.ran
     cloud = seen(VERTICES)
     chosen = LIMBS.body
     body = np.concatenate([VERTICES[chosen], 3.0 * cloud.spacing * LIMBS.normals[chosen]], axis=1)
-    field = Field(cloud, body)
+    field = LimbField(cloud, body)
     assert 0 < field.points <= 300 and field.standing >= 1.0 and field.by_body(COVER).max() < 0.6
-    assert Field(cloud, np.concatenate([cloud.points, 3.0 * cloud.spacing * cloud.normals], axis=1)).points == 0
+    assert LimbField(cloud, np.concatenate([cloud.points, 3.0 * cloud.spacing * cloud.normals], axis=1)).points == 0
     chain = chain_of(1)
     places, normals = LIMBS.place(chain, np.zeros((1, 3, 3)), (np.eye(3), np.zeros(3)))
     covered = field.covered(places, normals, COVER)

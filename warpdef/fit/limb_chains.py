@@ -37,7 +37,7 @@ Rigid = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Chain:
+class LimbChain:
     """joints: (3, 3). axis, normal: unit, from the first joint to the tip and out of its middle (3,). vertex, link:
     vertices that stand for it, and the link each is on (m,). standing: vertices that each of them stands for.
     node, node_link: the same of the graph (n,). around: nodes around its base, those of limbs beside it too (r,)."""
@@ -68,7 +68,7 @@ class LimbChains:
         for i, (vertex, far, _) in enumerate(reaching):
             on[vertex], along[vertex] = i, far
         link = np.searchsorted(JOINTS[1:], along)
-        self.body, self.chains = sample[on[sample] < 0], list[Chain]()
+        self.body, self.chains = sample[on[sample] < 0], list[LimbChain]()
         one, other = graph.link.T
         for i, (limb, (_, _, joints)) in enumerate(zip(limbs, reaching, strict=True)):
             of_limb = on[graph.node] == i
@@ -83,9 +83,9 @@ class LimbChains:
             axis, normal = _unit(rest[limb.tip] - joints[0]), self.normals[limb.vertex].mean(axis=0)
             normal = _unit(normal - axis * (normal @ axis))
             of_nodes = node, link[graph.node[node]], around
-            self.chains.append(Chain(joints, axis, normal, some, link[some], len(vertex) / len(some), *of_nodes))
+            self.chains.append(LimbChain(joints, axis, normal, some, link[some], len(vertex) / len(some), *of_nodes))
 
-    def base(self, chain: Chain, pose: Pose) -> Rigid:
+    def base(self, chain: LimbChain, pose: Pose) -> Rigid:
         """How the body moves in a pose where a limb begins."""
         rest, there = self._at[chain.around], self._at[chain.around] + pose.shift[chain.around]
         from_, to = rest.mean(axis=0), there.mean(axis=0)
@@ -94,7 +94,7 @@ class LimbChains:
         turn = nearest_rotation(spread)
         return turn, to - turn @ from_
 
-    def turns_of(self, chain: Chain, pose: Pose) -> np.ndarray:
+    def turns_of(self, chain: LimbChain, pose: Pose) -> np.ndarray:
         """Rotation vectors (3, 3) that bend a limb as it is in a pose."""
         from scipy.spatial.transform import Rotation
 
@@ -106,7 +106,7 @@ class LimbChains:
             before = turn
         return np.array(found)
 
-    def links(self, chain: Chain, turns: np.ndarray, base: Rigid) -> Rigid:
+    def links(self, chain: LimbChain, turns: np.ndarray, base: Rigid) -> Rigid:
         """Rigid motions of a limb's links in h poses ``turns`` (h, 3, 3): (h, 3, 3, 3) and (h, 3, 3)."""
         turn, shift = (np.broadcast_to(part, (len(turns), *part.shape)) for part in base)
         all_turns, shifts = [], []
@@ -118,7 +118,7 @@ class LimbChains:
             shifts.append(shift)
         return np.stack(all_turns, axis=1), np.stack(shifts, axis=1)
 
-    def place(self, chain: Chain, turns: np.ndarray, base: Rigid) -> tuple[np.ndarray, np.ndarray]:
+    def place(self, chain: LimbChain, turns: np.ndarray, base: Rigid) -> tuple[np.ndarray, np.ndarray]:
         """Vertices that stand for a limb in h poses, and their normals, (h, m, 3) each."""
         turn, shift = (part[:, chain.link] for part in self.links(chain, turns, base))
         placed = np.einsum("hmij,mj->hmi", turn, self.rest[chain.vertex]) + shift

@@ -20,7 +20,7 @@ import numpy as np
 
 from warpdef.fit.bending import BETTER, FACING, FAULTLESS, HALF, Bending, SeenCloud
 from warpdef.fit.embedded import Pose
-from warpdef.fit.limb_chains import Chain, LimbChains
+from warpdef.fit.limb_chains import LimbChain, LimbChains
 from warpdef.geometry.viewpoint import Picture
 
 TILTS, TILTED = 16.0, 100.0
@@ -103,7 +103,7 @@ class LimbSearch:
         limbs, placed = self._limbs, self._bending.place(pose)
         turned = FACING * cloud.spacing * self._bending.facing(placed)
         body = np.concatenate([placed[limbs.body], turned[limbs.body]], axis=1)
-        field, bases = Field(cloud, body), [limbs.base(chain, pose) for chain in limbs.chains]
+        field, bases = LimbField(cloud, body), [limbs.base(chain, pose) for chain in limbs.chains]
         if not field.points:
             return []
 
@@ -145,7 +145,7 @@ def _beam(tried: list[np.ndarray], body: np.ndarray, worth: Worth, count: int) -
     return found
 
 
-def _finer(turns: list[np.ndarray], field: Field, worth: Worth, rng: np.random.Generator) -> list[np.ndarray]:
+def _finer(turns: list[np.ndarray], field: LimbField, worth: Worth, rng: np.random.Generator) -> list[np.ndarray]:
     """The same choice after small random turns, of one limb at a time."""
     turns = list(turns)
     scale = np.array([1.0, 0.7, 0.7])[:, None]
@@ -164,7 +164,7 @@ def _finer(turns: list[np.ndarray], field: Field, worth: Worth, rng: np.random.G
     return turns
 
 
-class Field:
+class LimbField:
     """Points of a cloud that its body, places beside turned normals (b, 6), leaves to the limbs, and its picture.
 
     points: how many are asked, evenly. standing: points that each of them stands for.
@@ -228,7 +228,7 @@ def closest_sq(samples: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.maximum(found + (points**2).sum(axis=1), 0.0)
 
 
-def tried_turns(chain: Chain) -> np.ndarray:
+def tried_turns(chain: LimbChain) -> np.ndarray:
     """Poses of a limb that are tried, rotation vectors of its links (h, 3, 3): directions by curls about some axes."""
     across, found = np.cross(chain.normal, chain.axis), []
     for direction in _cone(chain.axis):

@@ -141,11 +141,11 @@ BOUNDS = (
     ),
     Bound(
         "swollen",
-        0.14,
+        0.13,
         _NEVER,
         "the surface of a limb is {:.0%} larger than in the shape, as where it lies on points of another",
-        "asked only of what one camera saw; limbs in their place have grown by up to 10 %, a thumb that points at the "
-        "camera by 13 %; fingers on points of others by 15 to 35 %",
+        "asked only of what one camera saw; limbs in their place have grown by up to 12 %; a thumb that points at the "
+        "camera and one drawn to a point by 13 %, fingers on points of others by 15 to 35 %",
     ),
     Bound(
         "blur",
