@@ -281,7 +281,7 @@ BREAKS = [
           "a branch begins before what comes before it"),
     Break("warpdef/fit/bending.py", "if instead < (BETTER * left if begin is start else worth(left)):", "if True:",
           ("bending",), "shares are taken, better or not"),
-    Break("warpdef/cleaning/order.py", "key=lambda b: (-(reach[b] + apart[t, b]), b)",
+    Break("warpdef/cleaning/order.py", " or turns(clouds):", ":", ("order",),
           "key=lambda b: (reach[b] + apart[t, b], b)", ("order",), "long branches of the walk first"),
     Break("warpdef/cleaning/order.py", "and not turns(clouds) else", "else", ("order",),
           "what turns fast is taken for scans in no order"),
