@@ -223,7 +223,7 @@ BREAKS = [
           "fingers are put where others are"),
     Break("warpdef/geometry/limbs.py", "for of in (peak[lower], peak[higher])", "for of in (peak[lower],)", ("limbs",),
           "the farthest finger of a hand is no limb"),
-    Break("warpdef/quality/swollen.py", "ratio / growth**2 - 1.0", "ratio - growth", ("limbs",),
+    Break("warpdef/quality/swollen.py", "most / growth**2 - 1.0", "most - growth", ("limbs",),
           "a body that grows as a whole has grown fingers"),
     Break("warpdef/quality/assess.py", "return min(coverage.noise, ", "return max(coverage.noise, ", ("quality",),
           "what a body bends between few points is noise"),

@@ -131,6 +131,24 @@ class _Limbs:
         return (0, 0, *found), self.left.get(cloud, fault)
 
 
+def followed_bent(
+    monkeypatch: pytest.MonkeyPatch, told: _Told, limbs: _Limbs, recover: bool
+) -> tuple[list[int], list[int], float, list[tuple[int, int]]]:
+    """Frames followed and bent, how far bent poses put frame 10, and what was settled from which neighbour."""
+    monkeypatch.setattr(walks._Walk, "bending", told)
+    monkeypatch.setattr(walks._Walk, "limb_search", limbs)
+    monkeypatch.setattr(walks._Walk, "_seen_cloud", lambda self, frame: frame)
+    settled: list[tuple[int, int]] = []
+    monkeypatch.setattr(walks._Walk, "_settle", lambda self, frame, neighbour: settled.append((frame, neighbour)))
+    with closing(Team(1)) as team:
+        optimiser, refinement = lost_chain(team, chain=False)
+        problem = optimiser.problem
+        problem.seen, config = True, problem.config
+        problem.config = replace(config, refine=replace(config.refine, recover=recover))
+        followed, bent = follow(optimiser.objective, refinement)
+        return followed, bent, optimiser.objective.vertices.numpy()[10, 0, 0], settled
+
+
 BACK = (10, 11, 10, 9, 8, 7)  # frame 10 once more, from 11
 
 
@@ -147,18 +165,7 @@ BACK = (10, 11, 10, 9, 8, 7)  # frame 10 once more, from 11
 )
 def test_what_one_camera_saw_is_tried_from_behind(monkeypatch, faults, recover, tried_again, kept) -> None:
     told = _Told(faults)
-    monkeypatch.setattr(walks._Walk, "bending", told)
-    monkeypatch.setattr(walks._Walk, "_seen_cloud", lambda self, frame: frame)
-    monkeypatch.setattr(walks._Walk, "limb_search", _Limbs({}))
-    settled: list[tuple[int, int]] = []
-    monkeypatch.setattr(walks._Walk, "_settle", lambda self, frame, neighbour: settled.append((frame, neighbour)))
-    with closing(Team(1)) as team:
-        optimiser, refinement = lost_chain(team, chain=False)
-        problem = optimiser.problem
-        problem.seen, config = True, problem.config
-        problem.config = replace(config, refine=replace(config.refine, recover=recover))
-        followed, bent = follow(optimiser.objective, refinement)
-        placed = optimiser.objective.vertices.numpy()[10, 0, 0]
+    followed, bent, placed, settled = followed_bent(monkeypatch, told, _Limbs({}), recover)
     assert len(followed) == FRAMES - 1 and bent == [10] * kept and ((10, 11) in settled) == kept
     assert (BACK in told.bends) == tried_again and len(told.bends) == FRAMES - 1 + tried_again
     assert placed == (len(BACK) if kept else len(BACK) - 2)
@@ -177,18 +184,7 @@ def test_what_one_camera_saw_is_tried_from_behind(monkeypatch, faults, recover, 
     ],
 )
 def test_limbs_are_looked_for_where_a_fault_stays(monkeypatch, fault, left, recover, asked, kept) -> None:
-    limbs = _Limbs({10: left})
-    monkeypatch.setattr(walks._Walk, "bending", _Told({BACK[2:]: fault, BACK: 1.0}))
-    monkeypatch.setattr(walks._Walk, "limb_search", limbs)
-    monkeypatch.setattr(walks._Walk, "_seen_cloud", lambda self, frame: frame)
-    settled: list[tuple[int, int]] = []
-    monkeypatch.setattr(walks._Walk, "_settle", lambda self, frame, neighbour: settled.append((frame, neighbour)))
-    with closing(Team(1)) as team:
-        optimiser, refinement = lost_chain(team, chain=False)
-        problem = optimiser.problem
-        problem.seen, config = True, problem.config
-        problem.config = replace(config, refine=replace(config.refine, recover=recover))
-        bent = follow(optimiser.objective, refinement)[1]
-        placed = optimiser.objective.vertices.numpy()[10, 0, 0]
+    limbs, told = _Limbs({10: left}), _Told({BACK[2:]: fault, BACK: 1.0})
+    _, bent, placed, settled = followed_bent(monkeypatch, told, limbs, recover)
     assert limbs.asked == [10] * asked and bent == [10] * kept
     assert settled.count((10, 9)) == 1 + kept and placed == len(BACK[2:]) + 2 * kept

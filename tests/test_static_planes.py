@@ -8,7 +8,7 @@ from present import present
 from synthetic import bending_bar, icosphere, sample_surface, turning_ellipsoid
 
 from warpdef.cleaning.crop import crop
-from warpdef.cleaning.static_planes import cut_static_planes, find_static_planes
+from warpdef.cleaning.static_planes import cut_static_planes, find_surroundings
 from warpdef.config import Config
 from warpdef.errors import InputError
 from warpdef.prepare import clean
@@ -65,7 +65,7 @@ def test_an_object_alone_keeps_all(rng, body):
     ends = [plane(rng, 150, ([0, 1, 0], [0, 0, 0.2]), np.array([x, 0, 0.2]), 0.0) for x in (-1, 1)]
     boxes = [np.concatenate([*brick, *sides])] * 3, [np.concatenate([*brick, *sides, *ends])] * 4
     for clouds in (body, bar, egg, *boxes, sheets, lamp):
-        assert find_static_planes(clouds) == []
+        assert find_surroundings(clouds).planes == []
         sequence = PointSequence.from_arrays(clouds)
         assert cut_static_planes(sequence) is sequence
 
@@ -82,7 +82,7 @@ def test_a_flat_thing_upon_a_table_stays(rng):
 def test_a_plane_that_moves_or_comes_late_is_no_floor(rng, body):
     moving = [np.concatenate([b, plane(rng, 1500, *FLOOR) - [0, 0, 0.3 * t]]) for t, b in enumerate(body)]
     late = [np.concatenate([b, plane(rng, 1500 if t > 3 else 0, *FLOOR)]) for t, b in enumerate(body)]
-    assert find_static_planes(moving) == [] and find_static_planes(late) == []
+    assert find_surroundings(moving).planes == [] and find_surroundings(late).planes == []
 
 
 def test_it_can_be_kept(rng, body):

@@ -32,9 +32,10 @@ def order_by_pose(clouds: Sequence[np.ndarray]) -> list[int] | None:
         return None
     first = max((len(clouds) - _JUDGED) // 2, 0)
     middle = clouds[first : first + _JUDGED]
-    if orderly(*pose_fields(middle)) or turns(clouds):
+    fields, halves = pose_fields(middle)
+    if orderly(fields, halves) or turns(clouds):
         return None
-    return _walk(pose_fields(clouds)[0])
+    return _walk(fields if len(middle) == len(clouds) else pose_fields(clouds)[0])
 
 
 def put_in_order(sequence: PointSequence) -> PointSequence:

@@ -68,13 +68,8 @@ class Surroundings:
         return [_any_holds(self.planes, cloud) | beside for cloud, beside in zip(clouds, self.furniture, strict=True)]
 
 
-def find_static_planes(clouds: Sequence[np.ndarray]) -> list[Plane]:
-    """Planes that stand still in all clouds, (N_t, 3) each, the largest first; empty for an object alone."""
-    return find_surroundings(clouds).planes
-
-
 def find_surroundings(clouds: Sequence[np.ndarray]) -> Surroundings:
-    """Planes that stand still in all clouds, (N_t, 3) each, the largest first, and furniture; else nothing."""
+    """Planes that stand still in all clouds, (N_t, 3) each, the largest first, and furniture; none of an object."""
     step = _prime_from(sum(map(len, clouds)) // SAMPLE)
     thin = [np.asarray(cloud, dtype=np.float64)[::step] for cloud in clouds]
     centre = np.median(np.concatenate(thin), axis=0)

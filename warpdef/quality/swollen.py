@@ -42,5 +42,5 @@ class LimbAreas:
         Args:
             areas: of the frame's faces (F,). growth: of all lengths, taken off.
         """
-        ratios = [float(areas @ on) / area for on, area in zip(self._on, self._area, strict=True)]
-        return max(0.0, *(ratio / growth**2 - 1.0 for ratio in ratios), 0.0)
+        most = max((float(areas @ on) / area for on, area in zip(self._on, self._area, strict=True)), default=0.0)
+        return max(most / growth**2 - 1.0, 0.0)
